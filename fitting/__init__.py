@@ -1,0 +1,1 @@
+"""Fits analytic BRDF models to tables."""

@@ -1,0 +1,1 @@
+"""Analytic BRDF models, one module each, on one contract."""

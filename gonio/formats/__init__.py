@@ -1,0 +1,1 @@
+"""BRDF files, one module a format."""

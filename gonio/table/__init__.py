@@ -1,0 +1,1 @@
+"""The BRDF table: representation, interpolation, checks and compression."""

@@ -1,0 +1,1 @@
+"""Transport through a specimen, tallies, and the measurement that drives them."""

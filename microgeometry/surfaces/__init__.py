@@ -1,0 +1,1 @@
+"""Surfaces, one module each: a periodic tile, realised from a seed."""

@@ -1,0 +1,1 @@
+"""Renders scenes with tabulated and analytic materials, and draws what people look at."""
