@@ -1,0 +1,110 @@
+"""The numba decorator, and nothing else: every compiled kernel of the project goes through `kernel`.
+
+numba caches compiled code on disk but notices only edits of the file a function stands in; an edit of
+a helper in another file leaves the caller's cache silently stale. So the cache directory carries a hash
+of every source a kernel may call into: any edit starts a new cache, and a second process that runs the
+same sources compiles nothing.
+
+With NUMBA_DISABLE_JIT=1 kernels are the plain Python functions they are written as.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import time
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba import prange
+from numba.core import config
+
+__all__ = ["disabled", "kernel", "prange"]
+
+_ROOT = Path(__file__).resolve().parents[2]
+# Packages with kernels, lowest floor first. A kernel may call into its own floor and those below.
+_FLOORS = ("gonio", "fitting", "renderer")
+_UNUSED_DAYS = 30
+
+disabled: bool = bool(config.DISABLE_JIT)
+"""True when kernels run as plain Python (NUMBA_DISABLE_JIT=1)."""
+
+
+def kernel(function: Callable | None = None, *, parallel: bool = False, inline: bool = False) -> Any:
+    """Compile a function for numba's nopython mode, cached across processes.
+
+    Parameters
+    ----------
+    function : callable
+        The function; its arguments' types select the specialisation, and an argument that is None
+        removes the branches that ask for it.
+    parallel : bool
+        Whether `prange` loops run on all threads. Such a loop must write to places of its own
+        iteration only, so that results do not depend on the number of threads.
+    inline : bool
+        Inline into the caller at numba's level, for small helpers that return tuples.
+
+    Returns
+    -------
+    callable
+        The dispatcher. Division by zero follows IEEE (inf, nan) as in numpy.
+    """
+
+    def decorate(f: Callable) -> Any:
+        if disabled:
+            return f
+        previous = config.CACHE_DIR
+        config.CACHE_DIR = str(cache_directory(_floor_of(f)))
+        try:
+            return numba.njit(
+                cache=True,
+                parallel=parallel,
+                nogil=True,
+                error_model="numpy",
+                fastmath={"contract"},
+                inline="always" if inline else "never",
+            )(f)
+        finally:
+            config.CACHE_DIR = previous
+
+    return decorate if function is None else decorate(function)
+
+
+@lru_cache
+def cache_directory(package: str) -> Path:
+    """Directory of the compiled kernels of `package`, named after a hash of the sources they depend on.
+
+    Lies under ``GONIO_CACHE_DIR``, else under ``XDG_CACHE_HOME`` or ``~/.cache``, in ``gonio/``.
+    """
+    if package in _FLOORS:
+        roots = [_ROOT / name for name in _FLOORS[: _FLOORS.index(package) + 1]]
+    else:  # a package of somebody else's, on top of all floors
+        roots = [_ROOT / name for name in _FLOORS] + [_ROOT / package]
+    digest = hashlib.sha256(numba.__version__.encode())
+    for root in roots:
+        for source in sorted(root.rglob("*.py")):
+            digest.update(source.relative_to(_ROOT).as_posix().encode())
+            digest.update(source.read_bytes())
+    home = os.environ.get("GONIO_CACHE_DIR") or Path(
+        os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "gonio"
+    )
+    directory = Path(home) / f"{package}-{digest.hexdigest()[:16]}"
+    if not directory.exists():
+        directory.mkdir(parents=True, exist_ok=True)
+        _remove_unused(directory.parent)
+    return directory
+
+
+def _floor_of(function: Callable) -> str:
+    return (function.__module__ or "").partition(".")[0]
+
+
+def _remove_unused(home: Path) -> None:
+    """Delete caches that no process has opened for a month: sources change, old kernels never return."""
+    for old in home.glob("*-" + "[0-9a-f]" * 16):
+        if time.time() - old.stat().st_mtime > _UNUSED_DAYS * 86400:
+            shutil.rmtree(old, ignore_errors=True)

@@ -1,0 +1,148 @@
+"""The BRDF table: what a measurement leaves behind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.core.directions import projected_solid_angles
+from microgeometry.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """An isotropic BRDF on a (theta_i, theta_r, delta phi) grid, with its error bars. Immutable.
+
+    Angles are radians between the outward directions and the macroscopic normal; delta phi, folded to
+    [0, pi], is 0 at retro-reflection and pi on the mirror side. Values are f_r in 1/sr without cosine.
+
+    Parameters
+    ----------
+    values : ndarray, shape (I, R, P, C)
+        Mean BRDF over each cell: sum(w) / (N x projected solid angle of the cell), delta term apart.
+    theta_i : ndarray, shape (I,)
+        The rows' angles of incidence, increasing. Where `theta_i_edges` is given, the middle of the row.
+    theta_r_edges : ndarray, shape (R + 1,)
+        Increasing, from 0 to pi/2.
+    delta_phi_edges : ndarray, shape (P + 1,)
+        Increasing, from 0 to pi.
+    channels : tuple of str
+        Names of the C channels: ("R", "G", "B"), or one a wavelength.
+    albedo : ndarray, shape (I, C)
+        Directional-hemispherical reflectance of each row, delta term included.
+    theta_i_edges : ndarray, shape (I + 1,), optional
+        Rows are cells of incidence whose directions were drawn in proportion to projected solid angle;
+        None where the rows are exactly the angles `theta_i`.
+    std_error : ndarray, shape (I, R, P, C), optional
+        Standard error of each value's mean; never 0 in a cell that light could reach. None: unknown.
+    hits : ndarray of int64, shape (I, R, P), optional
+        Paths that ended in each cell. None: not a traced table.
+    gaps : ndarray of bool, shape (I, R, P), optional
+        Cells nobody measured; their values are 0 and mean nothing. None: no gaps.
+    albedo_std_error, specular, specular_std_error : ndarray, shape (I, C), optional
+        Standard errors, and the delta (mirror) term: reflectance into exactly the mirror direction.
+        Default zeros.
+    wavelengths_nm : tuple of float, optional
+        One a channel, where the channels are (or stand for) wavelengths.
+    ledger : mapping of str to float
+        Where the energy went: paths, reflected, transmitted, absorbed, killed, lost (in units of
+        incident energy, mean over channels).
+    provenance : mapping
+        What was measured and how; any JSON: specimen text, seed, versions, command, estimator,
+        batches, seconds, surface statistics.
+
+    Raises
+    ------
+    InputError
+        A shape, a range or a NaN; the message names the field, what was found and what is expected.
+    """
+
+    values: Array
+    theta_i: Array
+    theta_r_edges: Array
+    delta_phi_edges: Array
+    channels: tuple[str, ...]
+    albedo: Array
+    theta_i_edges: Array | None = None
+    std_error: Array | None = None
+    hits: NDArray[np.int64] | None = None
+    gaps: NDArray[np.bool_] | None = None
+    albedo_std_error: Array = field(default_factory=lambda: np.zeros(()))
+    specular: Array = field(default_factory=lambda: np.zeros(()))
+    specular_std_error: Array = field(default_factory=lambda: np.zeros(()))
+    wavelengths_nm: tuple[float, ...] | None = None
+    ledger: Mapping[str, float] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.values)
+        if len(shape) != 4 or 0 in shape:
+            raise InputError(f"values: shape {shape}; (theta_i, theta_r, delta_phi, channel) is expected")
+        rows, rings, sectors, channels = shape
+        expected = {
+            "values": shape,
+            "std_error": shape,
+            "hits": shape[:3],
+            "gaps": shape[:3],
+            "theta_i": (rows,),
+            "theta_i_edges": (rows + 1,),
+            "theta_r_edges": (rings + 1,),
+            "delta_phi_edges": (sectors + 1,),
+            "albedo": (rows, channels),
+            "albedo_std_error": (rows, channels),
+            "specular": (rows, channels),
+            "specular_std_error": (rows, channels),
+        }
+        for name, want in expected.items():
+            given = getattr(self, name)
+            if given is None:
+                continue
+            kind = {"hits": np.int64, "gaps": np.bool_}.get(name, np.float64)
+            array = np.array(given, kind)
+            if array.shape == () and name.startswith(("albedo_", "specular")):
+                array = np.full(want, array)
+            if array.shape != want:
+                raise InputError(f"{name}: shape {array.shape}; {want} is expected")
+            if name != "std_error" and not np.all(np.isfinite(array)):
+                raise InputError(f"{name}: contains NaN or infinity; finite numbers are expected")
+            if name == "std_error" and not np.all(array >= 0):
+                raise InputError("std_error: contains NaN or negative numbers; a standard error is >= 0")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "channels", tuple(str(c) for c in self.channels))
+        if len(self.channels) != channels:
+            raise InputError(f"channels: {len(self.channels)} names for {channels} channels of values")
+        self._check_axis("theta_r_edges", 0.0, np.pi / 2)
+        self._check_axis("delta_phi_edges", 0.0, np.pi)
+        if not (np.all(np.diff(self.theta_i) > 0) and 0 <= self.theta_i[0] and self.theta_i[-1] <= np.pi / 2):
+            raise InputError("theta_i: must increase within 0 to pi/2 radians")
+
+    def _check_axis(self, name: str, first: float, last: float) -> None:
+        edges = getattr(self, name)
+        if not np.all(np.diff(edges) > 0) or abs(edges[0] - first) > 1e-9 or abs(edges[-1] - last) > 1e-9:
+            raise InputError(f"{name}: must increase from {first} to {last:.9f} radians, found {edges[0]} to {edges[-1]}")
+
+    @property
+    def theta_r(self) -> Array:
+        """Middle of each ring of cells, radians, shape (R,)."""
+        return 0.5 * (self.theta_r_edges[1:] + self.theta_r_edges[:-1])
+
+    @property
+    def delta_phi(self) -> Array:
+        """Middle of each sector of cells, radians, shape (P,)."""
+        return 0.5 * (self.delta_phi_edges[1:] + self.delta_phi_edges[:-1])
+
+    @property
+    def projected_solid_angles(self) -> Array:
+        """Projected solid angle of each cell, both signs of delta phi, sr, shape (R, P); sums to pi."""
+        return projected_solid_angles(self.theta_r_edges, self.delta_phi_edges)
+
+    def replace(self, **changes: Any) -> Table:
+        """A copy with some fields changed, checked like a new table."""
+        return Table(**{f.name: changes.get(f.name, getattr(self, f.name)) for f in fields(self)})
