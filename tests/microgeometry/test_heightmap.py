@@ -37,9 +37,10 @@ def test_repeat_is_the_map_itself(tile_of, tmp_path):
 @pytest.mark.parametrize(("level", "degree"), [("none", 0), ("plane", 1), ("curvature", 2)])
 def test_levelling_takes_out_what_it_says(tile_of, tmp_path, level, degree):
     x, y = np.meshgrid(np.arange(5), np.arange(4), indexing="ij")
-    forms = [np.full((5, 4), 7.0), 0.3 * x - 0.2 * y, 0.05 * x**2 - 0.1 * x * y + 0.02 * y**2]
-    plain = tile_of("heightmap", **write_map(tmp_path, MAP), size=[5, 4], level=level)
-    for order, form in enumerate(forms):
+    forms = [(0, 7.0 + 0 * x), (1, 3 * x - 2 * y), (2, x * y), (2, x**2 + 2 * y**2), (3, x * y**2)]
+    keys = write_map(tmp_path, MAP)
+    plain = tile_of("heightmap", **keys, size=[5, 4], level=level)
+    for order, form in forms:
         keys = write_map(tmp_path, MAP + form, "form.npy")
         formed = tile_of("heightmap", **keys, size=[5, 4], level=level)
         same = np.allclose(formed.heights, plain.heights, atol=1e-18)

@@ -16,6 +16,8 @@ from microgeometry.indices import METALS, refractive_index
         ("Cu", 616.8, 0.30, 3.205),
         # Johnson and Christy 1974, likewise.
         ("Cr", 617.0, 3.17, 3.30),
+        # Rakic 1995, likewise.
+        ("Al", 516.60, 0.87340, 6.2418),
     ],
 )
 def test_published_points(name, nm, n, k):

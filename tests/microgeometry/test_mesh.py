@@ -7,7 +7,8 @@ from microgeometry.errors import InputError
 # A tent of four faces over 3 x 2, its top off centre, plus a flat border to one side: no axis, sign or
 # order can be swapped unseen. z up, faces counter-clockwise from above, far from the origin.
 SHIFT = np.array([100.0, -50.0, 7.0])
-VERTICES = np.array([(0, 0, 0), (3, 0, 0), (3, 2, 0), (0, 2, 0), (1, 0.5, 0.75), (4, 0, 0), (4, 2, 0)]) + SHIFT
+TENT = [(0, 0, 0), (3, 0, 0), (3, 2, 0), (0, 2, 0), (1, 0.5, 0.75), (4, 0, 0), (4, 2, 0)]
+VERTICES = np.array(TENT) + SHIFT
 FACES = np.array([(0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4), (1, 5, 6), (1, 6, 2)])
 
 
@@ -84,7 +85,8 @@ def test_mirror_tiling_meets_itself(tile_of, tmp_path):
     # Opposite sides of the period carry the same points, bit for bit ...
     for axis in (0, 1):
         others = [1 - axis, 2]
-        low, high = (tile.vertices[tile.vertices[:, axis] == end][:, others] for end in (0.0, tile.size[axis]))
+        ends = (0.0, tile.size[axis])
+        low, high = (tile.vertices[tile.vertices[:, axis] == end][:, others] for end in ends)
         assert set(map(tuple, low)) == set(map(tuple, high)) != set()
     # ... and with them identified every edge, known by its midpoint, has two faces.
     corners = tile.vertices[tile.faces]

@@ -1,7 +1,9 @@
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 
 from microgeometry.errors import InputError
 from microgeometry.specimen import load_specimen, parse_specimen
@@ -138,3 +140,34 @@ def test_registry_keeps_the_contract():
     for kind, surface in SURFACES.items():
         assert surface.kind == kind
         assert surface.is_random is (kind == "gaussian")
+
+
+JUNK = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | st.dates(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=2),
+    max_leaves=4,
+)
+KEYS = {
+    "surface": ["alpha", "rms_height", "correlation_length", "samples", "size", "units", "slope_deg", "file"],
+    "material": ["albedo", "eta", "k", "name"],
+    "grid": ["wavelengths_nm", "channels", "theta_i_deg", "theta_step_deg", "phi_step_deg"],
+}
+
+
+@hypothesis.settings(max_examples=300, deadline=None, derandomize=True)
+@hypothesis.given(st.data())
+def test_anything_else_is_an_input_error_of_one_line(data):
+    mapping = {
+        "surface": {"kind": data.draw(st.sampled_from(sorted(SURFACES)))},
+        "material": {"kind": data.draw(st.sampled_from(["mirror", "conductor", "lambert"]))},
+        "grid": {},
+    }
+    for table, keys in KEYS.items():
+        mapping[table].update(data.draw(st.dictionaries(st.sampled_from([*keys, "kind"]), JUNK, max_size=2)))
+    message = ""
+    try:
+        parse_specimen(mapping)
+    except InputError as error:
+        message = str(error)
+    assert "\n" not in message
+    assert len(message) < 400
