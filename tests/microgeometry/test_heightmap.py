@@ -51,7 +51,7 @@ def test_holes_are_refused_and_counted(tile_of, tmp_path):
     heights = MAP.copy()
     heights[1, 2] = heights[4, 0] = np.nan
     keys = write_map(tmp_path, heights)
-    with pytest.raises(InputError, match=r"map.npy: 2 of 20 samples \(10 %\) were not measured; set holes = "):
+    with pytest.raises(InputError, match=r"2 of 20 samples \(10 %\) were not measured; set holes = "):
         tile_of("heightmap", **keys, size=[1, 1])
 
 
