@@ -118,7 +118,7 @@ def bench(names: tuple[str, ...], as_json: bool) -> None:
     """Measure speed against error, as ratios within one run. NAMES default to all benchmarks."""
     from gonio.bench import run_benchmarks
 
-    results = run_benchmarks(names, quiet=as_json)
+    results = run_benchmarks(names, (lambda line: None) if as_json else click.echo)
     if as_json:
         click.echo(json.dumps(results))
 
