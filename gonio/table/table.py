@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gonio.core.directions import projected_solid_angles
+from gonio.table import interpolation
+from gonio.table.pool import Pool, pool_tables
 from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
@@ -104,7 +108,7 @@ class Table:
             if given is None:
                 continue
             kind = {"hits": np.int64, "gaps": np.bool_}.get(name, np.float64)
-            array = np.array(given, kind)
+            array: NDArray = np.array(given, kind)
             if array.shape == () and name.startswith(("albedo_", "specular")):
                 array = np.full(want, array)
             if array.shape != want:
@@ -120,13 +124,30 @@ class Table:
             raise InputError(f"channels: {len(self.channels)} names for {channels} channels of values")
         self._check_axis("theta_r_edges", 0.0, np.pi / 2)
         self._check_axis("delta_phi_edges", 0.0, np.pi)
-        if not (np.all(np.diff(self.theta_i) > 0) and 0 <= self.theta_i[0] and self.theta_i[-1] <= np.pi / 2):
-            raise InputError("theta_i: must increase within 0 to pi/2 radians")
+        if self.wavelengths_nm is not None:
+            object.__setattr__(self, "wavelengths_nm", tuple(float(w) for w in self.wavelengths_nm))
+            if len(self.wavelengths_nm) != channels or not all(w > 0 for w in self.wavelengths_nm):
+                raise InputError(
+                    f"wavelengths_nm: {self.wavelengths_nm}; {channels} positive numbers are expected"
+                )
+        self._check_rows()
 
     def _check_axis(self, name: str, first: float, last: float) -> None:
         edges = getattr(self, name)
         if not np.all(np.diff(edges) > 0) or abs(edges[0] - first) > 1e-9 or abs(edges[-1] - last) > 1e-9:
-            raise InputError(f"{name}: must increase from {first} to {last:.9f} radians, found {edges[0]} to {edges[-1]}")
+            raise InputError(
+                f"{name}: must increase from {first} to {last:.9f} radians, found {edges[0]} to {edges[-1]}"
+            )
+
+    def _check_rows(self) -> None:
+        for name, angles in (("theta_i", self.theta_i), ("theta_i_edges", self.theta_i_edges)):
+            if angles is None:
+                continue
+            inside = angles[0] >= 0 and angles[-1] <= np.pi / 2 + 1e-9
+            if not (np.all(np.diff(angles) > 0) and inside):
+                raise InputError(
+                    f"{name}: must increase within 0 to pi/2 radians, found {angles[0]} to {angles[-1]}"
+                )
 
     @property
     def theta_r(self) -> Array:
@@ -146,3 +167,122 @@ class Table:
     def replace(self, **changes: Any) -> Table:
         """A copy with some fields changed, checked like a new table."""
         return Table(**{f.name: changes.get(f.name, getattr(self, f.name)) for f in fields(self)})
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Table:
+        """Read a table from a file of any format known by its suffix; see `gonio.formats`.
+
+        Raises
+        ------
+        InputError
+            The file is missing, of an unknown format, damaged or not a table; the message says which.
+        """
+        from gonio import formats  # the formats are built on this class
+
+        return formats.read(path)
+
+    def save(self, path: str | os.PathLike[str]) -> list[str]:
+        """Write the table in the format of the suffix (.h5 keeps everything); see `gonio.formats`.
+
+        Returns
+        -------
+        list of str
+            What the format could not keep, one sentence each.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written; nothing is left under its name.
+        """
+        from gonio import formats
+
+        return formats.write(self, path)
+
+    @cached_property
+    def pool(self) -> Pool:
+        """The table laid out for the kernels of `gonio.table.interpolation`, as table 0 of a pool."""
+        return pool_tables([self])
+
+    def eval(self, wi: ArrayLike, wo: ArrayLike) -> Array:
+        """Interpolated BRDF without the delta term; how is said in `gonio.table.interpolation`.
+
+        Parameters
+        ----------
+        wi, wo : array_like, shape (..., 3)
+            Unit directions to the light and to the detector, broadcast against each other.
+
+        Returns
+        -------
+        ndarray, shape (..., C)
+            f_r in 1/sr; 0 where a direction is below the horizon.
+        """
+        wi, wo, shape = _flat(wi, wo)
+        out = np.empty((len(wi), len(self.channels)))
+        interpolation.eval_many(self.pool, 0, wi, wo, out)
+        return out.reshape(*shape, -1)
+
+    def sample(self, wi: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
+        """Draw `wo` in proportion to the channel mean of f cos(theta_o), without the delta term.
+
+        Parameters
+        ----------
+        wi : array_like, shape (..., 3)
+            Unit directions to the light.
+        u : array_like, shape (..., 3)
+            Uniform in [0, 1), broadcast against `wi`.
+
+        Returns
+        -------
+        wo : ndarray, shape (..., 3)
+        pdf : ndarray, shape (...)
+            Per solid angle; 0 marks a sample to be discarded (nothing is reflected).
+        """
+        wi, u, shape = _flat(wi, u)
+        wo, pdf = np.empty_like(wi), np.empty(len(wi))
+        interpolation.sample_many(self.pool, 0, wi, u, wo, pdf)
+        return wo.reshape(*shape, 3), pdf.reshape(shape)
+
+    def pdf(self, wi: ArrayLike, wo: ArrayLike) -> Array:
+        """Density per solid angle with which `sample` draws `wo`, shape (...); directions as in `eval`."""
+        wi, wo, shape = _flat(wi, wo)
+        out = np.empty(len(wi))
+        interpolation.pdf_many(self.pool, 0, wi, wo, out)
+        return out.reshape(shape)
+
+    def directional_albedo(self, theta_i: ArrayLike) -> Array:
+        """Directional-hemispherical reflectance, delta term included, interpolated between the rows.
+
+        Parameters
+        ----------
+        theta_i : array_like, shape (...)
+            Radians.
+
+        Returns
+        -------
+        ndarray, shape (..., C)
+        """
+        albedo, specular = self._row_quantities(theta_i)
+        return albedo + specular
+
+    def directional_specular(self, theta_i: ArrayLike) -> Array:
+        """Reflectance into exactly the mirror direction; as `directional_albedo`."""
+        return self._row_quantities(theta_i)[1]
+
+    def _row_quantities(self, theta_i: ArrayLike) -> tuple[Array, Array]:
+        cos_i = np.cos(np.asarray(theta_i, float))
+        albedo = np.empty((cos_i.size, len(self.channels)))
+        specular = np.empty_like(albedo)
+        interpolation.row_quantities_many(self.pool, 0, cos_i.ravel(), albedo, specular)
+        return albedo.reshape(*cos_i.shape, -1), specular.reshape(*cos_i.shape, -1)
+
+
+def _flat(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:
+    """Two arrays of triples, broadcast and flattened to shape (N, 3), and the shape they had."""
+    a, b = np.broadcast_arrays(np.asarray(a, float), np.asarray(b, float))
+    if a.shape[-1:] != (3,):
+        raise ValueError(f"directions of shape {a.shape}; (..., 3) is expected")
+    return (
+        np.ascontiguousarray(a).reshape(-1, 3),
+        np.ascontiguousarray(b).reshape(-1, 3),
+        a.shape[:-1],
+    )

@@ -1,0 +1,356 @@
+r"""Evaluating and sampling tables: scalar kernels on a pool of tables.
+
+Directions are tuples in the local frame, `wi` to the light and `wo` to the detector, both away from the
+surface and of unit length. Values are f_r in 1/sr without cosine, densities are per solid angle. On or
+below the horizon there is no reflection: values and densities are 0 where either direction has z < 0.
+
+The interpolant
+---------------
+With u = sin^2 theta_r and phi = delta phi in [0, pi], a row's function is bilinear in (u, phi) between the
+cells' centres (in u and phi), constant beyond them, and the azimuth's average at u = 0. Between rows it is
+linear in v = sin^2 theta_i, constant beyond the first and last. As u and v are treated alike, a reciprocal
+table of cells stays reciprocal between them.
+
+1. The measure is flat: cos(theta) d omega = sin(theta) cos(theta) d theta d phi = 1/2 du dphi. Both signs
+   of the azimuth count, so the reflectance of a row is exactly the double trapezoid sum
+   A = int_0^1 int_0^pi f(u, phi) du dphi. Each row and channel is multiplied by
+   (albedo - delta term)/A, hence re-integrates to what the table states.
+2. The density sampled is that of the channel mean: pdf = fbar(wi, wo) cos(theta_o) / Abar(theta_i), with
+   Abar(v) = (1 - w) Abar_a + w Abar_b between rows a and b. The weight f cos/pdf has the channel mean Abar,
+   the same for every sample: the mean channel's noise is that of the light alone.
+3. Sampling it: row a with probability (1 - w) Abar_a / Abar, else b. In the row, u from the marginal
+   m(u) = int f dphi, which is piecewise linear; then phi from f(u, phi)/m(u), piecewise linear as well, its
+   cumulative sum at the nodes being the blend (1 - t) M_k + t M_(k+1) of those of the two rings that enclose
+   u. A fair coin gives the azimuth its sign: half the density for each, and du dphi = 2 cos d omega turns
+   f/A into f cos/A. (The scheme is that of Mitsuba's Marginal2D, Dupuy & Jakob 2018, section 4.)
+4. On a segment of width h with end values p, q, the point below which lies the mass h s solves
+   p t + (q - p) t^2/2 = s: t = 2 s / (p + sqrt(p^2 + 2 (q - p) s)), without cancellation.
+"""
+
+from __future__ import annotations
+
+import math
+
+from gonio.core.jit import kernel
+from gonio.table.pool import (
+    AXES,
+    BUCKETS,
+    MARGINAL,
+    MEAN,
+    N_BUCKETS,
+    N_CHANNELS,
+    N_PHI,
+    N_ROWS,
+    N_U,
+    ROWS,
+    VALUES,
+)
+
+_PER_RADIAN = N_BUCKETS / math.pi
+
+
+@kernel
+def _locate(axes, first, buckets, bucket, x, position):
+    """Node at or below `x`, and how far `x` is to the next as a fraction; `position` is x in buckets."""
+    b = min(max(int(position), 0), N_BUCKETS - 1)
+    low = buckets[bucket + b]
+    high = buckets[bucket + b + 1] + 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if axes[first + middle] <= x:
+            low = middle
+        else:
+            high = middle
+    left = axes[first + low]
+    return low, min(1.0, max(0.0, (x - left) / (axes[first + low + 1] - left)))
+
+
+@kernel
+def _locate_row(pool, t, v):
+    """Rows a, b that enclose v = sin^2 theta_i and the weight of b."""
+    n = pool.header[t, N_ROWS]
+    if n == 1:
+        return 0, 0, 0.0
+    a, w = _locate(pool.axes, pool.header[t, AXES], pool.buckets, pool.header[t, BUCKETS], v, v * N_BUCKETS)
+    return a, a + 1, w
+
+
+@kernel
+def _locate_point(pool, t, u, phi):
+    """Node and fraction in u, node and fraction in phi."""
+    axis = pool.header[t, AXES] + pool.header[t, N_ROWS]
+    bucket = pool.header[t, BUCKETS] + N_BUCKETS + 1
+    k, x = _locate(pool.axes, axis, pool.buckets, bucket, u, u * N_BUCKETS)
+    axis += pool.header[t, N_U]
+    bucket += N_BUCKETS + 1
+    j, y = _locate(pool.axes, axis, pool.buckets, bucket, phi, phi * _PER_RADIAN)
+    return k, x, j, y
+
+
+@kernel
+def _coordinates(wi, wo):
+    """The coordinates v = sin^2 theta_i, u = sin^2 theta_r delta phi; on the normal the azimuth is +x's."""
+    v = wi[0] * wi[0] + wi[1] * wi[1]
+    u = wo[0] * wo[0] + wo[1] * wo[1]
+    length = math.sqrt(v * u)
+    if length > 0.0:
+        cosine = (wi[0] * wo[0] + wi[1] * wo[1]) / length
+    elif u > 0.0:
+        cosine = wo[0] / math.sqrt(u)
+    else:
+        cosine = 1.0
+    return min(1.0, v), min(1.0, u), math.acos(min(1.0, max(-1.0, cosine)))
+
+
+@kernel
+def eval_table(pool, t, wi, wo, out):
+    """BRDF of table `t`, without its delta term.
+
+    Parameters
+    ----------
+    pool : Pool
+    t : int
+        Which table of the pool.
+    wi, wo : direction
+    out : ndarray, shape (C,)
+        Receives f_r in 1/sr per channel; 0 where a direction is below the horizon.
+    """
+    n = pool.header[t, N_CHANNELS]
+    if wi[2] < 0.0 or wo[2] < 0.0:
+        for c in range(n):
+            out[c] = 0.0
+        return
+    v, u, phi = _coordinates(wi, wo)
+    a, b, w = _locate_row(pool, t, v)
+    k, x, j, y = _locate_point(pool, t, u, phi)
+    w00 = (1.0 - x) * (1.0 - y)
+    w01 = (1.0 - x) * y
+    w10 = x * (1.0 - y)
+    w11 = x * y
+    n_u = pool.header[t, N_U]
+    n_phi = pool.header[t, N_PHI]
+    ring = n_phi * n
+    at_a = pool.header[t, VALUES] + ((a * n_u + k) * n_phi + j) * n
+    at_b = pool.header[t, VALUES] + ((b * n_u + k) * n_phi + j) * n
+    factor_a = pool.header[t, ROWS] + a * (1 + 3 * n) + 1
+    factor_b = pool.header[t, ROWS] + b * (1 + 3 * n) + 1
+    values = pool.values
+    for c in range(n):
+        p = at_a + c
+        q = at_b + c
+        f_a = w00 * values[p] + w01 * values[p + n] + w10 * values[p + ring] + w11 * values[p + ring + n]
+        f_b = w00 * values[q] + w01 * values[q + n] + w10 * values[q + ring] + w11 * values[q + ring + n]
+        out[c] = (1.0 - w) * pool.rows[factor_a + c] * f_a + w * pool.rows[factor_b + c] * f_b
+
+
+@kernel
+def _mean(pool, t, a, b, w, k, x, j, y):
+    """Channel mean fbar at a located point."""
+    n_u = pool.header[t, N_U]
+    n_phi = pool.header[t, N_PHI]
+    p = pool.header[t, MEAN] + 2 * ((a * n_u + k) * n_phi + j)
+    q = pool.header[t, MEAN] + 2 * ((b * n_u + k) * n_phi + j)
+    ring = 2 * n_phi
+    mean = pool.mean
+    f_a = (1.0 - x) * ((1.0 - y) * mean[p] + y * mean[p + 2]) + x * (
+        (1.0 - y) * mean[p + ring] + y * mean[p + ring + 2]
+    )
+    f_b = (1.0 - x) * ((1.0 - y) * mean[q] + y * mean[q + 2]) + x * (
+        (1.0 - y) * mean[q + ring] + y * mean[q + ring + 2]
+    )
+    return (1.0 - w) * f_a + w * f_b
+
+
+@kernel
+def _row_mean(pool, t, row):
+    """Abar of one row: the channel mean's reflectance without delta term."""
+    return pool.rows[pool.header[t, ROWS] + row * (1 + 3 * pool.header[t, N_CHANNELS])]
+
+
+@kernel
+def pdf_table(pool, t, wi, wo):
+    """Density per solid angle with which `sample_table` draws `wo`: fbar cos(theta_o) / Abar.
+
+    0 below the horizon, and everywhere where nothing is reflected.
+    """
+    if wi[2] < 0.0 or wo[2] <= 0.0:
+        return 0.0
+    v, u, phi = _coordinates(wi, wo)
+    a, b, w = _locate_row(pool, t, v)
+    total = (1.0 - w) * _row_mean(pool, t, a) + w * _row_mean(pool, t, b)
+    if total <= 0.0:
+        return 0.0
+    k, x, j, y = _locate_point(pool, t, u, phi)
+    return _mean(pool, t, a, b, w, k, x, j, y) * wo[2] / total
+
+
+@kernel
+def _invert(p, q, s):
+    """Where on a unit segment of linear density from p to q the mass s is reached (equation 4)."""
+    root = p + math.sqrt(max(0.0, p * p + 2.0 * (q - p) * s))
+    if root <= 0.0:
+        return 0.0
+    return min(1.0, max(0.0, 2.0 * s / root))
+
+
+@kernel
+def _sample_u(pool, t, row, uniform):
+    """Ring k and fraction x of a u drawn from the row's marginal."""
+    n_u = pool.header[t, N_U]
+    first = pool.header[t, MARGINAL] + 2 * row * n_u
+    axis = pool.header[t, AXES] + pool.header[t, N_ROWS]
+    target = uniform * pool.marginal[first + 2 * (n_u - 1) + 1]
+    low = 0
+    high = n_u - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if pool.marginal[first + 2 * middle + 1] <= target:
+            low = middle
+        else:
+            high = middle
+    at = first + 2 * low
+    s = (target - pool.marginal[at + 1]) / (pool.axes[axis + low + 1] - pool.axes[axis + low])
+    return low, _invert(pool.marginal[at], pool.marginal[at + 2], s)
+
+
+@kernel
+def _sample_phi(pool, t, row, k, x, uniform):
+    """Sector j and fraction y of a phi drawn from the row's conditional at ring k, fraction x."""
+    n_phi = pool.header[t, N_PHI]
+    inner = pool.header[t, MEAN] + 2 * (row * pool.header[t, N_U] + k) * n_phi
+    outer = inner + 2 * n_phi
+    axis = pool.header[t, AXES] + pool.header[t, N_ROWS] + pool.header[t, N_U]
+    mean = pool.mean
+    last = 2 * (n_phi - 1) + 1
+    target = uniform * ((1.0 - x) * mean[inner + last] + x * mean[outer + last])
+    low = 0
+    high = n_phi - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        at = 2 * middle + 1
+        if (1.0 - x) * mean[inner + at] + x * mean[outer + at] <= target:
+            low = middle
+        else:
+            high = middle
+    at = 2 * low
+    below = (1.0 - x) * mean[inner + at + 1] + x * mean[outer + at + 1]
+    p = (1.0 - x) * mean[inner + at] + x * mean[outer + at]
+    q = (1.0 - x) * mean[inner + at + 2] + x * mean[outer + at + 2]
+    return low, _invert(p, q, (target - below) / (pool.axes[axis + low + 1] - pool.axes[axis + low]))
+
+
+@kernel
+def sample_table(pool, t, wi, u0, u1, u2):
+    """Draw `wo` in proportion to the channel mean of f cos(theta_o), without the delta term.
+
+    Parameters
+    ----------
+    pool : Pool
+    t : int
+        Which table of the pool.
+    wi : direction
+    u0, u1, u2 : float
+        Uniform in [0, 1): u0 for theta_o, u1 for delta phi, u2 for the row and the azimuth's sign.
+
+    Returns
+    -------
+    wo : direction
+    pdf : float
+        Per solid angle; 0 where nothing is reflected (`wo` is then the normal, and to be discarded).
+    """
+    v = min(1.0, wi[0] * wi[0] + wi[1] * wi[1])
+    a, b, w = _locate_row(pool, t, v)
+    share_a = (1.0 - w) * _row_mean(pool, t, a)
+    total = share_a + w * _row_mean(pool, t, b)
+    if wi[2] < 0.0 or total <= 0.0:
+        return (0.0, 0.0, 1.0), 0.0
+    u2 *= total
+    row = a
+    left = u2 / share_a if share_a > 0.0 else 0.0
+    if u2 >= share_a and w > 0.0:
+        row = b
+        left = (u2 - share_a) / (total - share_a)
+    k, x = _sample_u(pool, t, row, u0)
+    j, y = _sample_phi(pool, t, row, k, x, u1)
+    # From the located point to the direction
+    axis = pool.header[t, AXES] + pool.header[t, N_ROWS]
+    u = (1.0 - x) * pool.axes[axis + k] + x * pool.axes[axis + k + 1]
+    axis += pool.header[t, N_U]
+    phi = (1.0 - y) * pool.axes[axis + j] + y * pool.axes[axis + j + 1]
+    sin_phi = math.sin(phi) if left < 0.5 else -math.sin(phi)
+    cos_phi = math.cos(phi)
+    radius = math.sqrt(min(1.0, u))
+    cos_o = math.sqrt(max(0.0, 1.0 - u))
+    ex, ey = 1.0, 0.0
+    if v > 0.0:
+        length = math.sqrt(wi[0] * wi[0] + wi[1] * wi[1])
+        ex, ey = wi[0] / length, wi[1] / length
+    wo = (radius * (cos_phi * ex - sin_phi * ey), radius * (cos_phi * ey + sin_phi * ex), cos_o)
+    return wo, _mean(pool, t, a, b, w, k, x, j, y) * cos_o / total
+
+
+@kernel
+def _row_quantity(pool, t, cos_i, column, out):
+    n = pool.header[t, N_CHANNELS]
+    a, b, w = _locate_row(pool, t, 1.0 - cos_i * cos_i)
+    first = pool.header[t, ROWS] + 1 + column * n
+    for c in range(n):
+        at_a = pool.rows[first + a * (1 + 3 * n) + c]
+        at_b = pool.rows[first + b * (1 + 3 * n) + c]
+        out[c] = (1.0 - w) * at_a + w * at_b if cos_i >= 0.0 else 0.0
+
+
+@kernel
+def albedo_table(pool, t, cos_i, out):
+    """Directional-hemispherical reflectance without the delta term: what `eval_table` integrates to.
+
+    Parameters
+    ----------
+    pool : Pool
+    t : int
+        Which table of the pool.
+    cos_i : float
+        Cosine of the angle of incidence; below 0 the reflectance is 0.
+    out : ndarray, shape (C,)
+        Receives the reflectance per channel.
+    """
+    _row_quantity(pool, t, cos_i, 1, out)
+
+
+@kernel
+def specular_table(pool, t, cos_i, out):
+    """Reflectance into exactly the mirror direction (the delta term); arguments as `albedo_table`."""
+    _row_quantity(pool, t, cos_i, 2, out)
+
+
+@kernel
+def eval_many(pool, t, wi, wo, out):
+    """`eval_table` for arrays of directions, shape (N, 3), into `out`, shape (N, C)."""
+    for n in range(len(wi)):
+        eval_table(pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), (wo[n, 0], wo[n, 1], wo[n, 2]), out[n])
+
+
+@kernel
+def pdf_many(pool, t, wi, wo, out):
+    """`pdf_table` for arrays of directions, shape (N, 3), into `out`, shape (N,)."""
+    for n in range(len(wi)):
+        out[n] = pdf_table(pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), (wo[n, 0], wo[n, 1], wo[n, 2]))
+
+
+@kernel
+def sample_many(pool, t, wi, uniforms, wo, pdf):
+    """`sample_table` for arrays, `wi` and `uniforms` of shape (N, 3), into `wo` (N, 3) and `pdf` (N,)."""
+    for n in range(len(wi)):
+        direction, density = sample_table(
+            pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), uniforms[n, 0], uniforms[n, 1], uniforms[n, 2]
+        )
+        wo[n, 0], wo[n, 1], wo[n, 2] = direction
+        pdf[n] = density
+
+
+@kernel
+def row_quantities_many(pool, t, cos_i, albedo, specular):
+    """`albedo_table` and `specular_table` for cosines of shape (N,), into arrays of shape (N, C)."""
+    for n in range(len(cos_i)):
+        albedo_table(pool, t, cos_i[n], albedo[n])
+        specular_table(pool, t, cos_i[n], specular[n])

@@ -1,0 +1,168 @@
+"""Tables laid out for the interpolation kernels: several tables in one set of flat arrays.
+
+A renderer with twenty tabulated materials then runs one compiled kernel on one argument, and the type of
+that argument never depends on how many tables there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from gonio.table.table import Table
+
+N_BUCKETS = 512
+"""Uniform buckets per axis: from a coordinate to the few nodes that can enclose it, in one load."""
+
+# Columns of Pool.header
+N_ROWS, N_U, N_PHI, N_CHANNELS, VALUES, MEAN, AXES, BUCKETS, ROWS, MARGINAL, N_HEADER = range(11)
+
+
+class Pool(NamedTuple):
+    """Tables as flat arrays; which part belongs to which table stands in `header`.
+
+    Parameters
+    ----------
+    header : ndarray of int64, shape (tables, N_HEADER)
+        Sizes (rows, nodes in u, nodes in phi, channels) and the first index into each array below.
+    values : ndarray of float32
+        Node values, (row, u, phi, channel), each row and channel divided by its maximum.
+    mean : ndarray of float32
+        (row, u, phi, 2): the channel mean fbar, and its cumulative integral over phi.
+    axes : ndarray of float64
+        Nodes: sin^2 theta_i of the rows, u = sin^2 theta_r from 0 to 1, delta phi from 0 to pi.
+    buckets : ndarray of int32
+        Three times N_BUCKETS + 1: the last node at or below the start of each bucket of an axis.
+    rows : ndarray of float64
+        (row, 1 + 3 C): the integral of fbar, then per channel the factor on `values`, the albedo without
+        delta term, and the delta term.
+    marginal : ndarray of float64
+        (row, u, 2): fbar integrated over phi, and the cumulative integral of that over u.
+    """
+
+    header: NDArray[np.int64]
+    values: NDArray[np.float32]
+    mean: NDArray[np.float32]
+    axes: NDArray[np.float64]
+    buckets: NDArray[np.int32]
+    rows: NDArray[np.float64]
+    marginal: NDArray[np.float64]
+
+
+def pool_tables(tables: Sequence[Table]) -> Pool:
+    """Lay out tables for the kernels of `gonio.table.interpolation`; table t of the list is table t there.
+
+    Parameters
+    ----------
+    tables : sequence of Table
+        May be empty.
+
+    Returns
+    -------
+    Pool
+        About 4 bytes x (channels + 2) per cell.
+    """
+    parts = [_layout(table) for table in tables]
+    header = np.zeros((len(parts), N_HEADER), np.int64)
+    for t, (sizes, _) in enumerate(parts):
+        header[t, :VALUES] = sizes
+        if t > 0:
+            header[t, VALUES:] = header[t - 1, VALUES:] + [a.size for a in parts[t - 1][1]]
+    dtypes = (np.float32, np.float32, np.float64, np.int32, np.float64, np.float64)
+    flat = [
+        np.concatenate([arrays[n].ravel() for _, arrays in parts] or [np.zeros(0, dtype)])
+        for n, dtype in enumerate(dtypes)
+    ]
+    return Pool(header, *flat)
+
+
+def _layout(table: Table) -> tuple[tuple[int, int, int, int], list[NDArray]]:
+    """Sizes and arrays of one table, in the order of the Pool's fields."""
+    u_edges = np.sin(table.theta_r_edges) ** 2
+    u = np.concatenate([[0.0], 0.5 * (u_edges[1:] + u_edges[:-1]), [1.0]])
+    phi = np.concatenate([[0.0], table.delta_phi, [np.pi]])
+    u_i, sources, average = _row_nodes(table)
+    weight_u, weight_phi = trapezoid_weights(u), trapezoid_weights(phi)
+    n_rows, n_channels = len(u_i), table.values.shape[3]
+    values = np.empty((n_rows, len(u), len(phi), n_channels), np.float32)
+    mean = np.empty((n_rows, len(u), len(phi), 2), np.float32)
+    rows = np.empty((n_rows, 1 + 3 * n_channels))
+    marginal = np.empty((n_rows, len(u), 2))
+    for row, source in enumerate(sources):
+        nodes = extend_row(table.values[source], weight_phi)
+        if average[row]:
+            nodes[:] = (np.einsum("p,upc->uc", weight_phi, nodes) / np.pi)[:, None]
+        # float32 halves the memory traffic; what rounding takes from the integral, the factor gives back
+        values[row] = nodes / np.maximum(nodes.max(axis=(0, 1)), np.finfo(float).tiny)
+        integral = np.einsum("u,p,upc->c", weight_u, weight_phi, values[row].astype(float))
+        target = np.maximum(table.albedo[source] - table.specular[source], 0.0)
+        factor = np.divide(target, integral, out=np.zeros(n_channels), where=integral > 0)
+        mean[row, :, :, 0] = values[row] @ (factor / n_channels)
+        fbar = mean[row, :, :, 0].astype(float)
+        mean[row, :, :, 1] = _cumulative(fbar, phi)
+        # from the rounded cumulative sums, so that marginal and conditional agree to the last bit
+        marginal[row, :, 0] = fbar @ weight_phi
+        marginal[row, :, 1] = _cumulative(marginal[row, :, 0], u)
+        rows[row, 0] = marginal[row, -1, 1]
+        rows[row, 1:] = np.concatenate([factor, factor * integral, table.specular[source]])
+    buckets = np.concatenate([_buckets(u_i, 1.0), _buckets(u, 1.0), _buckets(phi, np.pi)])
+    sizes = (n_rows, len(u), len(phi), n_channels)
+    return sizes, [values, mean, np.concatenate([u_i, u, phi]), buckets, rows, marginal]
+
+
+def _row_nodes(table: Table) -> tuple[NDArray, list[int], list[bool]]:
+    """Nodes in sin^2 theta_i; for each the table's row it comes from and whether to average over phi.
+
+    A row that is a cell of incidence stands at the middle of its interval of sin^2 theta_i: the average of
+    anything linear in that variable is its value there. At normal incidence an isotropic surface knows no
+    delta phi, so the node at 0 is the average over phi of the row that touches it.
+    """
+    sources = list(range(len(table.theta_i)))
+    average = [False] * len(sources)
+    if table.theta_i_edges is None:
+        u_i = np.sin(table.theta_i) ** 2
+        average[0] = bool(u_i[0] < 1e-12)
+        return u_i, sources, average
+    edges = np.sin(table.theta_i_edges) ** 2
+    u_i = 0.5 * (edges[1:] + edges[:-1])
+    if edges[0] < 1e-12:
+        return np.concatenate([[0.0], u_i]), [0, *sources], [True, *average]
+    return u_i, sources, average
+
+
+def extend_row(cells: NDArray, weight_phi: NDArray) -> NDArray[np.float64]:
+    """Node values of one row, shape (R + 2, P + 2, C), from its cells, shape (R, P, C).
+
+    Constant from the outermost centres to the horizon and to delta phi 0 and pi. At the pole, u = 0, the
+    azimuth has no meaning: the node there is the innermost ring's average over phi. Negative values, noise
+    of estimators and measurements, count as 0.
+    """
+    nodes = np.pad(np.maximum(cells, 0.0), ((1, 1), (1, 1), (0, 0)), mode="edge")
+    nodes[0] = weight_phi @ nodes[1] / np.pi
+    return nodes
+
+
+def trapezoid_weights(nodes: NDArray) -> NDArray[np.float64]:
+    """Weights whose dot product with node values is the integral of the piecewise linear function."""
+    steps = np.diff(nodes)
+    weights = np.zeros(len(nodes))
+    weights[:-1] += 0.5 * steps
+    weights[1:] += 0.5 * steps
+    return weights
+
+
+def _cumulative(values: NDArray, nodes: NDArray) -> NDArray:
+    """Integral of the piecewise linear function up to each node, along the last axis."""
+    masses = 0.5 * (values[..., 1:] + values[..., :-1]) * np.diff(nodes)
+    return np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(masses, axis=-1)], axis=-1)
+
+
+def _buckets(nodes: NDArray, extent: float) -> NDArray[np.int32]:
+    """For each bucket edge over [0, extent] the last node at or below it, at most the last but one."""
+    starts = np.linspace(0.0, extent, N_BUCKETS + 1)
+    below = np.searchsorted(nodes, starts, side="right") - 1
+    return np.clip(below, 0, max(0, len(nodes) - 2)).astype(np.int32)
