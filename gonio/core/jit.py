@@ -23,7 +23,7 @@ import numba
 from numba import prange
 from numba.core import config
 
-__all__ = ["disabled", "kernel", "prange"]
+__all__ = ["disabled", "kernel", "prange", "set_threads"]
 
 _ROOT = Path(__file__).resolve().parents[2]
 # Packages with kernels, lowest floor first. A kernel may call into its own floor and those below.
@@ -72,6 +72,18 @@ def kernel(function: Callable | None = None, *, parallel: bool = False, inline: 
             config.CACHE_DIR = previous
 
     return decorate if function is None else decorate(function)
+
+
+def set_threads(threads: int) -> None:
+    """Use this many threads for parallel kernels from now on.
+
+    Raises
+    ------
+    ValueError
+        More than numba was started with (NUMBA_NUM_THREADS, by default the number of processors).
+    """
+    if not disabled:
+        numba.set_num_threads(threads)
 
 
 @lru_cache

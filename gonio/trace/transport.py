@@ -1,0 +1,244 @@
+"""Transport of light through one periodic tile: 16 paths at a time, from the plane above it until they leave.
+
+The packet that Embree traces is itself the state of the 16 paths, in single precision; path weights are
+double. A packet's lanes start beside each other and in one direction, and Embree traces every segment
+with its coherent flag: neighbours stay neighbours after a bounce more often than not.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gonio.core.directions import cosine_hemisphere, frame
+from gonio.core.embree import (
+    DIR_X, DIR_Y, DIR_Z, GEOM_ID, INST_ID, INST_PRIM_ID, MISS, NORMAL_X, NORMAL_Y, NORMAL_Z,
+    ORG_X, ORG_Y, ORG_Z, PACKET_WIDTH, T_FAR, T_NEAR, VALID, intersect16,
+)  # fmt: skip
+from gonio.core.jit import kernel
+from gonio.core.optics import fresnel_conductor
+from gonio.core.philox import uniforms
+
+# How a path ended. Every path has exactly one of these.
+REFLECTED = 1  # left through the plane above
+ABSORBED = 2  # ended by Russian roulette; its energy is in the ledger's absorbed
+KILLED = 3  # still bouncing at the cap
+LOST = 4  # fell through the surface or wandered without end: numerics, or a hole in the mesh
+
+ROULETTE_BOUNCES = 4
+MAX_CROSSINGS = 100_000
+
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+_TWO = np.float32(2.0)
+_FAR = np.float32(np.inf)
+
+
+@kernel
+def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
+    """Place 16 paths on the plane z = top, one in each cell of a 4 x 4 grid of strata, heading along -wi.
+
+    Parameters
+    ----------
+    packet : ndarray
+        From `gonio.core.embree.new_packet`.
+    wi : direction
+        Towards the light.
+    x0, y0, dx, dy : float
+        Corner and size of one stratum, tile units.
+    seed, batch, path : int
+        Key and counter of the random numbers; the packet's paths are path ... path + 15.
+    """
+    ints = packet.view(np.int32)
+    for lane in range(PACKET_WIDTH):
+        u, v, _, _ = uniforms(path + lane, (path + lane) >> 32, 0, 0, seed, batch)
+        packet[ORG_X, lane] = x0 + (lane // 4 + u) * dx
+        packet[ORG_Y, lane] = y0 + (lane % 4 + v) * dy
+        packet[ORG_Z, lane] = top
+        packet[DIR_X, lane] = -wi[0]
+        packet[DIR_Y, lane] = -wi[1]
+        packet[DIR_Z, lane] = -wi[2]
+        packet[T_NEAR, lane] = _ZERO
+        packet[T_FAR, lane] = _FAR
+        ints[GEOM_ID, lane] = MISS
+        ints[INST_ID, lane] = MISS
+        ints[INST_PRIM_ID, lane] = MISS
+        ints[VALID, lane] = -1
+
+
+@kernel
+def trace_packet(
+    embree, box, packet, eta_k, albedo, max_bounces, seed, batch, path, weight, bounces, status, absorbed
+):
+    """Follow the 16 paths of a started packet to their ends.
+
+    Parameters
+    ----------
+    embree : Handle
+    box : Box
+    packet : ndarray
+        Started by `start_packet`; on return its directions are those the paths left in.
+    eta_k, albedo : ndarray or None
+        As in `gonio.trace.scene.Optics`.
+    max_bounces : int
+        A path that would bounce once more is killed.
+    seed, batch, path : int
+        As in `start_packet`.
+    weight : ndarray, shape (16, C)
+        Set to what is left of each path's energy at its end.
+    bounces, status : ndarray of int64, shape (16,)
+        Set to each path's number of bounces and to how it ended.
+    absorbed : ndarray, shape (C,)
+        Energy absorbed is added; Russian roulette takes and gives here, so that the sum over all ends of
+        a path is exactly 1.
+
+    Returns
+    -------
+    int
+        Rays traced.
+    """
+    ints = packet.view(np.int32)
+    weight[:, :] = 1.0
+    bounces[:] = 0
+    crossings = 0
+    active = PACKET_WIDTH
+    rays = 0
+    while active > 0:
+        intersect16(embree, packet, True)
+        rays += active
+        for lane in range(PACKET_WIDTH):
+            if ints[VALID, lane] == 0:
+                continue
+            end = 0
+            if ints[GEOM_ID, lane] != MISS:
+                distance = packet[T_FAR, lane]
+                packet[ORG_X, lane] += packet[DIR_X, lane] * distance
+                packet[ORG_Y, lane] += packet[DIR_Y, lane] * distance
+                packet[ORG_Z, lane] += packet[DIR_Z, lane] * distance
+                packet[T_NEAR, lane] = _ZERO
+                end = _scatter(
+                    packet, lane, box.lift, eta_k, albedo, max_bounces, seed, batch, path + lane,
+                    weight, bounces, absorbed,
+                )  # fmt: skip
+            else:
+                end = _cross(box, packet, lane)
+                crossings += 1
+                if crossings > MAX_CROSSINGS:
+                    end = LOST
+            if end != 0:
+                status[lane] = end
+                ints[VALID, lane] = 0
+                active -= 1
+            packet[T_FAR, lane] = _FAR
+            ints[GEOM_ID, lane] = MISS
+            ints[INST_ID, lane] = MISS
+    return rays
+
+
+@kernel
+def _cross(box, packet, lane):
+    """Take a ray that hit nothing in its tile to the tile's face: out above, lost below, or in again opposite."""
+    x, y, z = packet[ORG_X, lane], packet[ORG_Y, lane], packet[ORG_Z, lane]
+    vx, vy, vz = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
+    distance = _FAR
+    end = LOST  # a ray that goes nowhere
+    if vz > _ZERO:
+        distance = (box.top - z) / vz
+        end = REFLECTED
+    elif vz < _ZERO:
+        distance = (box.bottom - z) / vz
+    face = 0
+    if vx != _ZERO:
+        to_x = ((box.width_x if vx > _ZERO else _ZERO) - x) / vx
+        if to_x < distance:
+            distance, face = to_x, 1
+    if vy != _ZERO:
+        to_y = ((box.width_y if vy > _ZERO else _ZERO) - y) / vy
+        if to_y < distance:
+            distance, face = to_y, 2
+    if face == 0:
+        return end
+    x += vx * distance
+    y += vy * distance
+    if face == 1:  # exactly onto the opposite face
+        x = _ZERO if vx > _ZERO else box.width_x
+    else:
+        y = _ZERO if vy > _ZERO else box.width_y
+    packet[ORG_X, lane] = x
+    packet[ORG_Y, lane] = y
+    packet[ORG_Z, lane] = z + vz * distance
+    packet[T_NEAR, lane] = _ZERO
+    return 0
+
+
+@kernel
+def _scatter(packet, lane, lift, eta_k, albedo, max_bounces, seed, batch, path, weight, bounces, absorbed):
+    """Turn a path at a hit into a new direction; returns how it ended, or 0 if it goes on."""
+    nx, ny, nz = packet[NORMAL_X, lane], packet[NORMAL_Y, lane], packet[NORMAL_Z, lane]
+    vx, vy, vz = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
+    # Single precision puts a hit a little off the surface: step off along the normal, past the facet itself.
+    # A fixed step along the ray instead would jump over a neighbour in a crease (and lost 1 path in 10^7).
+    inverse = _ONE / np.float32(math.sqrt(nx * nx + ny * ny + nz * nz))
+    nx *= inverse
+    ny *= inverse
+    nz *= inverse
+    packet[ORG_X, lane] += nx * lift
+    packet[ORG_Y, lane] += ny * lift
+    packet[ORG_Z, lane] += nz * lift
+    d_n = vx * nx + vy * ny + vz * nz
+    if d_n >= _ZERO:
+        return 0  # a facet's back: the path started a rounding error below the surface, and goes on through
+    if bounces[lane] >= max_bounces:
+        return KILLED
+    bounces[lane] += 1
+    channels = weight.shape[1]
+    if albedo is None:
+        twice = _TWO * d_n
+        packet[DIR_X, lane] = vx - twice * nx
+        packet[DIR_Y, lane] = vy - twice * ny
+        packet[DIR_Z, lane] = vz - twice * nz
+    else:
+        u, v, _, _ = uniforms(path, path >> 32, bounces[lane], 0, seed, batch)
+        n = (float(nx), float(ny), float(nz))
+        s, t = frame(n)
+        a, b, c = cosine_hemisphere(u, v)
+        packet[DIR_X, lane] = a * s[0] + b * t[0] + c * n[0]
+        packet[DIR_Y, lane] = a * s[1] + b * t[1] + c * n[1]
+        packet[DIR_Z, lane] = a * s[2] + b * t[2] + c * n[2]
+        for channel in range(channels):
+            w = weight[lane, channel]
+            weight[lane, channel] = w * albedo[channel]
+            absorbed[channel] += w - weight[lane, channel]
+    if eta_k is not None:
+        cosine = min(1.0, -float(d_n))
+        for channel in range(channels):
+            r_s, r_p = fresnel_conductor(cosine, eta_k[channel, 0], eta_k[channel, 1])
+            w = weight[lane, channel]
+            weight[lane, channel] = w * (0.5 * (r_s + r_p))
+            absorbed[channel] += w - weight[lane, channel]
+    if (eta_k is not None or albedo is not None) and bounces[lane] >= ROULETTE_BOUNCES:
+        return _roulette(lane, seed, batch, path, weight, bounces, absorbed)
+    return 0
+
+
+@kernel
+def _roulette(lane, seed, batch, path, weight, bounces, absorbed):
+    """Russian roulette on the strongest channel: survivors carry the energy of those that end here."""
+    channels = weight.shape[1]
+    survival = 0.0
+    for channel in range(channels):
+        survival = max(survival, weight[lane, channel])
+    if survival >= 1.0:
+        return 0
+    u, _, _, _ = uniforms(path, path >> 32, bounces[lane], 1, seed, batch)
+    if u >= survival:
+        for channel in range(channels):
+            absorbed[channel] += weight[lane, channel]
+            weight[lane, channel] = 0.0
+        return ABSORBED
+    for channel in range(channels):
+        w = weight[lane, channel]
+        weight[lane, channel] = w / survival
+        absorbed[channel] += w - weight[lane, channel]
+    return 0
