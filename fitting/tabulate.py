@@ -76,7 +76,7 @@ def _row(fit: Fit, grid: Grid, row: int, shape: tuple[int, int]) -> Array:
     flat = values.reshape(-1, len(fit.channels))
     chosen = np.arange(len(cells))
     flat[:] = grid.terms(kinds, shapes, cells, 0) @ picks
-    mirror = _near_mirror(grid, cells)
+    mirror = grid.near_mirror(cells)
     for level in range(1, LEVELS):
         new = grid.terms(kinds, shapes, cells[chosen], level) @ picks
         change = np.abs(new - flat[chosen]).max(axis=1)
@@ -89,14 +89,6 @@ def _row(fit: Fit, grid: Grid, row: int, shape: tuple[int, int]) -> Array:
         if len(chosen) == 0:
             break
     return values
-
-
-def _near_mirror(grid: Grid, cells: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Cells within two cells of the mirror direction, where lobes are narrowest."""
-    i, r, s = cells.T
-    sines = grid.rows[0, i, 0, 0]
-    ring = np.searchsorted(grid.rings[0, :, 0, 0], sines)
-    return (np.abs(r - ring) <= 2) & ((s >= grid.sectors.shape[1] - 2) | (r <= 2))
 
 
 @kernel
