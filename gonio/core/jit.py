@@ -19,9 +19,15 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numba
-from numba import prange
-from numba.core import config
+_PROCESSORS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+# numba fixes the largest number of threads at import; leave room to ask for more than there are processors
+os.environ.setdefault("NUMBA_NUM_THREADS", str(max(_PROCESSORS, 8)))
+
+import numba  # noqa: E402
+from numba import prange  # noqa: E402
+from numba.core import config  # noqa: E402
+
+from microgeometry.errors import InputError  # noqa: E402
 
 __all__ = ["disabled", "kernel", "prange", "set_threads"]
 
@@ -32,6 +38,10 @@ _UNUSED_DAYS = 30
 
 disabled: bool = bool(config.DISABLE_JIT)
 """True when kernels run as plain Python (NUMBA_DISABLE_JIT=1)."""
+
+
+if not disabled and numba.get_num_threads() > _PROCESSORS:
+    numba.set_num_threads(_PROCESSORS)
 
 
 def kernel(function: Callable | None = None, *, parallel: bool = False, inline: bool = False) -> Any:
@@ -79,11 +89,19 @@ def set_threads(threads: int) -> None:
 
     Raises
     ------
-    ValueError
-        More than numba was started with (NUMBA_NUM_THREADS, by default the number of processors).
+    InputError
+        Less than 1, or more than numba was started with.
     """
-    if not disabled:
-        numba.set_num_threads(threads)
+    if threads < 1:
+        raise InputError(f"threads: {threads}; at least 1 is needed")
+    if disabled:
+        return
+    if threads > config.NUMBA_NUM_THREADS:
+        raise InputError(
+            f"threads: {threads}; at most {config.NUMBA_NUM_THREADS} in this process: set the environment "
+            f"variable NUMBA_NUM_THREADS={threads} before it starts"
+        )
+    numba.set_num_threads(threads)
 
 
 @lru_cache

@@ -45,10 +45,12 @@ class TraceScene:
         if isinstance(tile, HeightField):
             z = _centred(tile.heights * scale)
             self._scene.add_grid(_periodic_vertices(z, tile.size[0] * scale, tile.size[1] * scale))
+            self.facets = 2 * z.size
         elif isinstance(tile, TriangleMesh):
             vertices = (tile.vertices - [*tile.origin, 0.0]) * scale
             vertices[:, 2] = z = _centred(vertices[:, 2])
             self._scene.add_triangles(vertices, tile.faces)
+            self.facets = len(tile.faces)
         else:
             raise TypeError(f"tile: {type(tile).__name__}; a HeightField or a TriangleMesh is expected")
         self._scene.commit()

@@ -1,8 +1,9 @@
 """Transport of light through one periodic tile: 16 paths at a time, from the plane above it until they leave.
 
 The packet that Embree traces is itself the state of the 16 paths, in single precision; path weights are
-double. A packet's lanes start beside each other and in one direction, and Embree traces every segment
-with its coherent flag: neighbours stay neighbours after a bounce more often than not.
+double. A packet's lanes start beside each other and in one direction; where they lie so close that they
+meet the same few facets, Embree traces every segment with its coherent flag (neighbours stay neighbours
+after a bounce more often than not).
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
 
 @kernel
 def trace_packet(
-    embree, box, packet, eta_k, albedo, max_bounces, seed, batch, path, weight, bounces, status, absorbed
+    embree, box, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path, weight, bounces, status, absorbed
 ):
     """Follow the 16 paths of a started packet to their ends.
 
@@ -77,6 +78,9 @@ def trace_packet(
     ----------
     embree : Handle
     box : Box
+    coherent : bool
+        Whether neighbouring paths start within a few facets of each other: Embree then traces them
+        together, else each for itself.
     packet : ndarray
         Started by `start_packet`; on return its directions are those the paths left in.
     eta_k, albedo : ndarray or None
@@ -105,7 +109,7 @@ def trace_packet(
     active = PACKET_WIDTH
     rays = 0
     while active > 0:
-        intersect16(embree, packet, True)
+        intersect16(embree, packet, coherent)
         rays += active
         for lane in range(PACKET_WIDTH):
             if ints[VALID, lane] == 0:
