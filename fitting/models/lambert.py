@@ -1,0 +1,39 @@
+"""Lambert's law: the same radiance in all directions, f_r = albedo / pi (Lambert 1760)."""
+
+from __future__ import annotations
+
+import math
+
+from fitting.models.contract import Lobe, Term
+from gonio.core.directions import cosine_hemisphere
+from gonio.core.jit import kernel
+
+_INV_PI = 1.0 / math.pi
+
+LOBE = Lobe(
+    name="lambert",
+    kind=0,
+    parameters=(),
+    terms=(Term("albedo"),),
+    source="J. H. Lambert, Photometria, 1760",
+)
+
+
+@kernel
+def terms(p, wi, wo):
+    """1/pi; see `fitting.models.contract`."""
+    if wi[2] <= 0.0 or wo[2] <= 0.0:
+        return 0.0, 0.0
+    return _INV_PI, 0.0
+
+
+@kernel
+def sample(p, wi, u0, u1):
+    """Cosine-distributed, for any diffuse lobe."""
+    return cosine_hemisphere(u0, u1)
+
+
+@kernel
+def pdf(p, wi, wo):
+    """Density of `sample`: cos(theta_o)/pi above the horizon."""
+    return max(0.0, wo[2]) * _INV_PI
