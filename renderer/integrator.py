@@ -32,6 +32,7 @@ from gonio.core.embree import (
 )
 from gonio.core.jit import kernel
 from gonio.core.philox import uniforms
+from renderer.borrowing import borrow
 from renderer.environment import environment_radiance
 from renderer.geometry import Geometry, nearest_quadric, offset, surface
 from renderer.lights import Lights, area_density, sample_light
@@ -278,14 +279,36 @@ def _follow(world, packet, shadows, quadrics, state, pending, pixels, seed, i_sa
     return n_rays
 
 
+class Scratch(NamedTuple):
+    """Working memory of one thread."""
+
+    packet: np.ndarray
+    shadows: np.ndarray
+    quadrics: np.ndarray  # int64 (16,), the sphere or disk each lane was cut off at
+    pixels: np.ndarray  # int64 (16,)
+    state: np.ndarray  # (16, 7)
+    pending: np.ndarray  # (16, 3), light that arrives if the lane's shadow ray meets nothing
+
+
+def new_scratch() -> Scratch:
+    """Working memory for `render_blocks`; one a call."""
+    lanes = PACKET_WIDTH
+    integers = np.zeros((2, lanes), np.int64)
+    return Scratch(
+        new_packet(), new_packet(), integers[0], integers[1], np.zeros((lanes, 7)), np.zeros((lanes, 3))
+    )
+
+
 @kernel
-def render_blocks(world, sums, squares, first, last, first_sample, last_sample, seed):
+def render_blocks(world, film, scratch, first, last, first_sample, last_sample, seed):
     """Add samples [first_sample, last_sample) of every pixel in blocks [first, last) to the film.
 
     Parameters
     ----------
-    sums, squares : ndarray, shape (height, width, 3)
+    world : World
+    film : tuple of 2 ndarray, shape (height, width, 3)
         Sum of the samples' radiance and of its square.
+    scratch : Scratch
     first, last : int
         Blocks of 4 x 4 pixels, counted row by row.
 
@@ -294,12 +317,10 @@ def render_blocks(world, sums, squares, first, last, first_sample, last_sample, 
     tuple of 2 int
         Rays traced, and samples dropped because they were not finite.
     """
-    packet, shadows = new_packet(), new_packet()
+    world, film, scratch = borrow(world), borrow(film), borrow(scratch)
+    packet, shadows, quadrics, pixels, state, pending = scratch
+    sums, squares = film
     ids = packet.view(np.int32)
-    quadrics = np.empty(PACKET_WIDTH, np.int64)
-    pixels = np.zeros(PACKET_WIDTH, np.int64)
-    state = np.zeros((PACKET_WIDTH, 7))
-    pending = np.zeros((PACKET_WIDTH, 3))
     width, height = world.camera.size[0], world.camera.size[1]
     columns = (width + BLOCK - 1) // BLOCK
     n_rays, n_dropped = 0, 0

@@ -13,7 +13,7 @@ import numpy as np
 from gonio.progress import Report
 from microgeometry.errors import InputError
 from renderer.image import Image
-from renderer.integrator import BLOCK, render_blocks
+from renderer.integrator import BLOCK, new_scratch, render_blocks
 from renderer.pack import Packed, pack
 from renderer.scene import Scene
 
@@ -113,7 +113,7 @@ class _Film:
         edges = np.arange(0, n_blocks + _BLOCKS_PER_TASK, _BLOCKS_PER_TASK).clip(max=n_blocks).tolist()
 
         def task(span: tuple[int, int]) -> tuple[int, int]:
-            return render_blocks(packed.world, self.sums, self.squares, *span, first, last, seed)
+            return render_blocks(packed.world, (self.sums, self.squares), new_scratch(), *span, first, last, seed)
 
         if first == last:
             task((0, 0))
