@@ -178,7 +178,7 @@ def _to_local(s, t, n, v):
 
 
 @kernel
-def _light_up(world, shadows, pending, lane, state, hit, wo, u):
+def _light_up(world, shadows, pending, lane, state, hit, wo, u, memory):
     """Draw a light and, if it would matter, aim the lane's shadow ray at it. Returns whether it was aimed."""
     shape, point, normal, shading, distance = hit
     material = world.geometry.material[shape]
@@ -186,7 +186,7 @@ def _light_up(world, shadows, pending, lane, state, hit, wo, u):
     direction, reach, red, green, blue, density = sample_light(world.lights, point, u[0], u[1], u[2], u[3])
     if red + green + blue <= 0.0:
         return False
-    f_red, f_green, f_blue, other = evaluate(world.materials, material, _to_local(s, t, shading, direction), wo)
+    f_red, f_green, f_blue, other = evaluate(world.materials, material, _to_local(s, t, shading, direction), wo, memory)
     weight = _heuristic(density, other, world.limits[2], 2)
     pending[lane, 0] = weight * f_red * red * state[lane, _RED]
     pending[lane, 1] = weight * f_green * green * state[lane, _GREEN]
@@ -199,12 +199,12 @@ def _light_up(world, shadows, pending, lane, state, hit, wo, u):
 
 
 @kernel
-def _go_on(world, packet, lane, state, hit, wo, u, segment):
+def _go_on(world, packet, lane, state, hit, wo, u, segment, memory):
     """Draw the path's next direction and aim the lane in it. Returns whether the path goes on."""
     shape, point, normal, shading, distance = hit
     s, t = frame(shading)
     wi, red, green, blue, density = sample(
-        world.materials, world.geometry.material[shape], wo, u[0], u[1], u[2]
+        world.materials, world.geometry.material[shape], wo, u[0], u[1], u[2], memory
     )
     red, green, blue = red * state[lane, _RED], green * state[lane, _GREEN], blue * state[lane, _BLUE]
     brightest = max(red, max(green, blue))
@@ -240,8 +240,9 @@ def _shadow(geometry, shadows, quadrics, state, pending):
 
 
 @kernel
-def _follow(world, packet, shadows, quadrics, state, pending, pixels, seed, i_sample):
+def _follow(world, scratch, seed, i_sample):
     """Follow the packet's paths to their ends; returns how many rays that took."""
+    packet, shadows, quadrics, pixels, state, pending, memory = scratch
     ids = packet.view(np.int32)
     n_rays = 0
     segment = 1
@@ -267,11 +268,11 @@ def _follow(world, packet, shadows, quadrics, state, pending, pixels, seed, i_sa
             wo = _to_local(s, t, shading, (-direction[0], -direction[1], -direction[2]))
             if n_lights:
                 u = uniforms(i_sample, segment, _FOR_LIGHT, 0, seed, pixels[lane])
-                if _light_up(world, shadows, pending, lane, state, hit, wo, u):
+                if _light_up(world, shadows, pending, lane, state, hit, wo, u, memory):
                     shadowed = True
                     n_rays += 1
             u = uniforms(i_sample, segment, _FOR_MATERIAL, 0, seed, pixels[lane])
-            if _go_on(world, packet, lane, state, hit, wo, u, segment):
+            if _go_on(world, packet, lane, state, hit, wo, u, segment, memory):
                 active = True
         if shadowed:
             _shadow(world.geometry, shadows, quadrics, state, pending)
@@ -288,6 +289,7 @@ class Scratch(NamedTuple):
     pixels: np.ndarray  # int64 (16,)
     state: np.ndarray  # (16, 7)
     pending: np.ndarray  # (16, 3), light that arrives if the lane's shadow ray meets nothing
+    memory: np.ndarray  # (3,), the materials'
 
 
 def new_scratch() -> Scratch:
@@ -295,7 +297,7 @@ def new_scratch() -> Scratch:
     lanes = PACKET_WIDTH
     integers = np.zeros((2, lanes), np.int64)
     return Scratch(
-        new_packet(), new_packet(), integers[0], integers[1], np.zeros((lanes, 7)), np.zeros((lanes, 3))
+        new_packet(), new_packet(), integers[0], integers[1], np.zeros((lanes, 7)), np.zeros((lanes, 3)), np.zeros(3)
     )
 
 
@@ -318,7 +320,7 @@ def render_blocks(world, film, scratch, first, last, first_sample, last_sample, 
         Rays traced, and samples dropped because they were not finite.
     """
     world, film, scratch = borrow(world), borrow(film), borrow(scratch)
-    packet, shadows, quadrics, pixels, state, pending = scratch
+    packet, pixels, state = scratch.packet, scratch.pixels, scratch.state
     sums, squares = film
     ids = packet.view(np.int32)
     width, height = world.camera.size[0], world.camera.size[1]
@@ -338,7 +340,7 @@ def render_blocks(world, film, scratch, first, last, first_sample, last_sample, 
                 origin, direction = _camera_ray(world.camera, x, y, u)
                 _aim(packet, lane, origin, direction, _NO_HIT)
                 state[lane, _RED], state[lane, _GREEN], state[lane, _BLUE] = 1.0, 1.0, 1.0
-            n_rays += _follow(world, packet, shadows, quadrics, state, pending, pixels, seed, i_sample)
+            n_rays += _follow(world, scratch, seed, i_sample)
             for lane in range(PACKET_WIDTH):
                 x, y = x0 + lane % BLOCK, y0 + lane // BLOCK
                 if x >= width or y >= height:

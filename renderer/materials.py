@@ -16,7 +16,10 @@ import numpy as np
 from gonio.core.directions import cosine_hemisphere
 from gonio.core.jit import kernel
 from gonio.core.optics import fresnel_conductor, fresnel_dielectric
+from gonio.table.pool import Pool
+from renderer.analytic import Lobes, analytic_evaluate, analytic_sample
 from renderer.microfacet import rough_evaluate, rough_sample
+from renderer.tabulated import tabulated_evaluate, tabulated_sample
 
 KINDS = ("none", "diffuse", "conductor", "rough_conductor", "dielectric", "plastic", "tabulated", "analytic")
 NONE, DIFFUSE, CONDUCTOR, ROUGH_CONDUCTOR, DIELECTRIC, PLASTIC, TABULATED, ANALYTIC = range(len(KINDS))
@@ -27,7 +30,11 @@ class Materials(NamedTuple):
 
     kind: np.ndarray  # int64 (M,)
     two_sided: np.ndarray  # int64 (M,)
-    values: np.ndarray  # (M, 12), meaning by kind: see pack_materials
+    values: np.ndarray  # (M, 12), meaning by kind: see renderer.pack_materials
+    first: np.ndarray  # int64 (M,), the table in the pool, or the first lobe
+    count: np.ndarray  # int64 (M,), lobes
+    pool: Pool
+    lobes: Lobes
 
 
 @kernel
@@ -72,8 +79,13 @@ def _plastic_mirror_chance(values, m, cos_o):
 
 
 @kernel
-def evaluate(materials, m, wi, wo):
+def evaluate(materials, m, wi, wo, memory):
     """BRDF times cos(theta_i) of material `m` without mirror terms, and the density of `wi`.
+
+    Parameters
+    ----------
+    memory : ndarray, shape (3,)
+        Working memory.
 
     Returns
     -------
@@ -99,11 +111,15 @@ def evaluate(materials, m, wi, wo):
         density = wi[2] / math.pi
         chance = 1.0 - _plastic_mirror_chance(values, m, wo[2])
         return red * density, green * density, blue * density, chance * density
+    if kind == TABULATED:
+        return tabulated_evaluate(materials.pool, materials.first[m], wi, wo, memory)
+    if kind == ANALYTIC:
+        return analytic_evaluate(materials.lobes, materials.first[m], materials.count[m], wi, wo)
     return 0.0, 0.0, 0.0, 0.0
 
 
 @kernel
-def sample(materials, m, wo, u0, u1, u2):
+def sample(materials, m, wo, u0, u1, u2, memory):
     """Draw a direction `wi` to go on in.
 
     Returns
@@ -121,14 +137,14 @@ def sample(materials, m, wo, u0, u1, u2):
     flip = materials.two_sided[m] and wo[2] < 0.0
     if flip:
         wo = (wo[0], wo[1], -wo[2])
-    wi, red, green, blue, density = _sample_upper(materials, m, wo, u0, u1, u2)
+    wi, red, green, blue, density = _sample_upper(materials, m, wo, u0, u1, u2, memory)
     if flip:
         wi = (wi[0], wi[1], -wi[2])
     return wi, red, green, blue, density
 
 
 @kernel
-def _sample_upper(materials, m, wo, u0, u1, u2):
+def _sample_upper(materials, m, wo, u0, u1, u2, memory):
     kind = materials.kind[m]
     values = materials.values
     mirror = (-wo[0], -wo[1], wo[2])
@@ -140,6 +156,10 @@ def _sample_upper(materials, m, wo, u0, u1, u2):
     if kind == CONDUCTOR:
         red, green, blue = conductor_reflectance(values, m, wo[2])
         return mirror, red, green, blue, 0.0
+    if kind == TABULATED:
+        return tabulated_sample(materials.pool, materials.first[m], wo, u0, u1, u2, memory)
+    if kind == ANALYTIC:
+        return analytic_sample(materials.lobes, materials.first[m], materials.count[m], wo, u0, u1, u2)
     if kind == PLASTIC:
         chance = _plastic_mirror_chance(values, m, wo[2])
         if u0 < chance:
@@ -148,7 +168,7 @@ def _sample_upper(materials, m, wo, u0, u1, u2):
         wi = cosine_hemisphere(u1, u2)
     else:
         wi = rough_sample(wo, values[m, 9], int(values[m, 10]), u1, u2)
-    red, green, blue, density = evaluate(materials, m, wi, wo)
+    red, green, blue, density = evaluate(materials, m, wi, wo, memory)
     if density <= 0.0:
         return mirror, 0.0, 0.0, 0.0, 0.0
     return wi, red / density, green / density, blue / density, density

@@ -6,10 +6,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from fitting.models import SHAPE, SIZE
+from fitting.result import Fit
 from gonio.core.optics import fresnel_dielectric
+from gonio.table.pool import pool_tables
+from gonio.table.table import Table
 from microgeometry.errors import InputError
+from renderer.analytic import Lobes
 from renderer.materials import KINDS, Materials
-from renderer.scene import Material
+from renderer.scene import Array, Material
 
 DISTRIBUTIONS = {"beckmann": 0.0, "ggx": 1.0}
 
@@ -20,20 +25,67 @@ def pack_materials(materials: Sequence[Material]) -> Materials:
     Raises
     ------
     InputError
-        An unknown kind or a value out of range.
+        An unknown kind, a value out of range, or a table or fit that is not of one or three channels.
     """
     values = np.zeros((len(materials), 12))
-    for row, material in zip(values, materials, strict=True):
+    first, count = np.zeros((2, len(materials)), np.int64)
+    tables: list[Table] = []
+    lobes: list[Lobes] = [Lobes(np.zeros(0, np.int64), np.zeros((0, SIZE)), np.zeros((0, 7)))]
+    for m, material in enumerate(materials):
         if material.kind not in KINDS:
             raise InputError(f"material: unknown kind {material.kind!r}; allowed are {', '.join(KINDS)}")
         if material.kind in _ROWS:
             entries = _ROWS[material.kind](material)
-            row[: len(entries)] = entries
+            values[m, : len(entries)] = entries
+        elif material.kind == "tabulated":
+            table: Table = material.values["table"]
+            _check_channels(material, table.channels)
+            known = [i for i, other in enumerate(tables) if other is table]
+            first[m] = known[0] if known else len(tables)
+            if not known:
+                tables.append(table)
+        elif material.kind == "analytic":
+            fit: Fit = material.values["fit"]
+            _check_channels(material, fit.channels)
+            lobes.append(_lobes(fit))
+            first[m], count[m] = sum(len(part.kind) for part in lobes[:-1]), len(lobes[-1].kind)
     return Materials(
         np.array([KINDS.index(m.kind) for m in materials], np.int64),
         np.array([m.two_sided for m in materials], np.int64),
         values,
+        first,
+        count,
+        pool_tables(tables),
+        Lobes(*(np.concatenate(parts) for parts in zip(*lobes, strict=True))),
     )
+
+
+def _check_channels(material: Material, channels: Sequence[str]) -> None:
+    if len(channels) not in (1, 3):
+        name = material.values.get("filename", material.kind)
+        raise InputError(
+            f"{name}: has {len(channels)} channels; one (grey) or three (red, green, blue) can be rendered"
+        )
+
+
+def _lobes(fit: Fit) -> Lobes:
+    """A model's lobes; the two terms of one lobe, which a fit lists apart, are evaluated together."""
+    terms = fit.terms()
+    merged: dict[tuple, Array] = {}
+    for kind, shape, weight in zip(*terms, strict=True):
+        rgb = np.broadcast_to(weight, (3,))
+        entry = merged.setdefault((int(kind), *shape[SHAPE:]), np.zeros(7))
+        entry[:3] += shape[0] * rgb
+        entry[3:6] += shape[1] * rgb
+    weights = np.array(list(merged.values())).reshape(-1, 7)
+    # The second term is Schlick's grazing part or a correction: small but near the horizon.
+    chance = weights[:, :3].mean(axis=1) + 0.2 * weights[:, 3:6].mean(axis=1)
+    weights[:, 6] = chance / max(chance.sum(), 1e-300)
+    shapes = np.zeros((len(merged), SIZE))
+    shapes[:, :SHAPE] = 1.0
+    for row, key in zip(shapes, merged, strict=True):
+        row[SHAPE:] = key[1:]
+    return Lobes(np.array([key[0] for key in merged], np.int64), shapes, weights)
 
 
 def _rgb(material: Material, name: str, default: float = 1.0, largest: float = 1.0) -> list[float]:
