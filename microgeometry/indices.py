@@ -61,7 +61,8 @@ def refractive_index(name: str, wavelengths_nm: ArrayLike) -> tuple[NDArray[np.f
     outside = ~((wavelengths >= low * (1 - 1e-9)) & (wavelengths <= high * (1 + 1e-9)))
     if outside.any():
         raise InputError(f"refractive index {name!r} ({page}): no data at "
-                         f"{wavelengths[outside].flat[0]:g} nm, only from {low:.6g} to {high:.6g} nm; change the wavelengths or the page")
+                         f"{wavelengths[outside].flat[0]:g} nm, only from "
+                         f"{low:.6g} to {high:.6g} nm; change the wavelengths or the page")
     with np.errstate(all="ignore"):
         n = np.asarray(material.get_refractive_index(wavelengths), dtype=np.float64)
         try:

@@ -47,12 +47,12 @@ class Keys:
     table : Mapping
         Keys and values, as TOML gives them.
     where : str
-        Name of the table in error messages, for example ``"surface"``.
+        Name of the table in error messages, for example ``"surface"``; empty for the whole file.
     """
 
     def __init__(self, table: Mapping[str, Any], where: str) -> None:
         if not isinstance(table, Mapping):
-            raise InputError(f"{where} = {table!r}: must be a table of keys; write it as [{where}]")
+            raise InputError(f"{where} = {str(table)[:60]!r}: must be a table of keys; write it as [{where}]")
         self.table = table
         self.where = where
 
@@ -61,8 +61,11 @@ class Keys:
 
     def error(self, key: str, reason: str) -> InputError:
         """Return the error for a key: its table, name and value (if any), and the reason."""
-        value = f" = {self.table[key]!r}" if key in self.table else ""
-        return InputError(f"[{self.where}] {key}{value}: {reason}")
+        value = repr(self.table[key]) if key in self.table else ""
+        value = f" = {value[:60]}{'...' if len(value) > 60 else ''}" if value else ""
+        # One line, whatever stands in a key or an array.
+        table = f"[{self.where}] " if self.where else ""
+        return InputError(" ".join(f"{table}{key}{value}: {reason}".split()))
 
     def allow(self, *allowed: str) -> None:
         """Refuse every key that is not one of these."""

@@ -97,7 +97,7 @@ def parse_specimen(mapping: Mapping[str, Any], folder: str | Path = Path(".")) -
 
 
 def _build(mapping: Mapping[str, Any], folder: Path, text: str | None, name: str | None) -> Specimen:
-    top = Keys(mapping, "specimen")
+    top = Keys(mapping, "")
     top.allow("surface", "material", "grid")
     for table in ("surface", "material"):
         if table not in top:

@@ -27,9 +27,9 @@ from microgeometry.errors import InputError
 FORMAT = "gonio-table"
 VERSION = "1.0"
 _CONVENTIONS = (
-    "values are BRDF f_r in 1/sr without cosine, averaged over cells in projected solid angle; theta_i, theta_r "
-    "are polar angles of the outward directions to light and detector; delta_phi = |phi_i - phi_r| is 0 "
-    "at retro-reflection and pi on the mirror side"
+    "values are BRDF f_r in 1/sr without cosine, averaged over cells in projected solid angle; theta_i and "
+    "theta_r are polar angles of the outward directions to light and detector; delta_phi = |phi_i - phi_r| "
+    "is 0 at retro-reflection and pi on the mirror side"
 )
 _GRID = ("theta_i", "theta_r", "delta_phi", "channel")
 # Dataset: axes and units. In the order written; the scales come first.

@@ -44,8 +44,8 @@ class HeightMap:
       in its slopes as a mirror makes it; a brushed or blazed surface loses its one-sidedness. "repeat" takes
       the map as one period as it stands: right for a map that is periodic, else with a cliff along the seam.
 
-    x is the file's fast axis (columns), y its slow one, in the order of the file: where the instrument
-    counts rows downwards, the tile is the surface's mirror image.
+    x and y run in the order of the file (columns, rows; a .npy is [x, y]): where the instrument counts
+    rows downwards, the tile is the surface's mirror image.
 
     Attributes
     ----------

@@ -100,7 +100,7 @@ class Mesh:
         low, extent = vertices.min(axis=0), np.ptp(vertices, axis=0)
         if min(extent[:2]) <= _DEGENERATE * extent.max():
             raise InputError(f"{self.file}: the mesh measures {extent[0]:g} x {extent[1]:g} in the plane, it "
-                             'does not lie above one; if the file has y up, set up = "y" under [surface] (or "z")')
+                             'does not lie above one; is z up in the file? set up = "y" or "z"')
         vertices = (vertices - (low[0], low[1], 0.0)) * self.unit
         size = (float(vertices[:, 0].max()), float(vertices[:, 1].max()))
         if self.tiling == "mirror":
