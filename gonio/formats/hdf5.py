@@ -78,7 +78,8 @@ def write(table: Table, path: Path, compressed: Compressed | None = None) -> lis
     OSError
         The disk is full or the folder missing; whatever stood under `path` before is still there.
     """
-    with atomic(path) as temporary, h5py.File(temporary, "w", libver="v110") as file:
+    # Built in memory: HDF5 does not survive a disk that fills while it writes, a plain write does
+    with h5py.File(path.name, "w", driver="core", backing_store=False, libver="v110") as file:
         file.attrs.update(
             format=FORMAT,
             version=VERSION,
@@ -102,6 +103,10 @@ def write(table: Table, path: Path, compressed: Compressed | None = None) -> lis
                     group[name] = item
                 else:
                     group.attrs[name] = item
+        file.flush()
+        image = file.id.get_file_image()
+    with atomic(path) as temporary:
+        temporary.write_bytes(image)
     return []
 
 

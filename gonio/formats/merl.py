@@ -1,0 +1,221 @@
+"""MERL `.binary` files (Matusik et al. 2003): RGB on a grid of half and difference angles.
+
+Layout: three int32, the numbers of bins (90 theta_h, 90 theta_d, 180 phi_d); then float64 R, G and B, each
+with phi_d fastest; 34 992 012 bytes. Bins are uniform in sqrt(theta_h), theta_d and phi_d. A stored number
+is f_r / (1, 1.15, 1.66) x 1500; negative means no data. A file of 180 phi_d bins is reciprocal: phi_d and
+phi_d + pi, which exchange light and detector, share a bin. Some files have 360 and are not.
+
+MERL's phi_d runs from the half vector's own plane, so both signs of our delta phi occur in it; reading
+averages them. Light and detector are `wi` and `wo` in the order of MERL's own reader.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.files import atomic
+from gonio.table.table import Table
+from microgeometry.errors import InputError
+
+Array = NDArray[np.float64]
+
+N_THETA_H, N_THETA_D, N_PHI_D = 90, 90, 180
+FACTORS = np.array([1.0, 1.15, 1.66]) / 1500.0
+"""From a stored number to f_r in 1/sr, by channel."""
+
+_POINTS = 2  # per cell and axis, at midpoints of equal projected solid angle
+
+
+def read(path: Path) -> Table:
+    """Read a MERL file onto cells of 1 degree.
+
+    A cell's value is the mean of MERL's own nearest-bin look-up at 2 x 2 x 2 points of equal projected
+    solid angle, each for both signs of delta phi. Points without data are left out; a cell without any is a
+    gap. The albedo is integrated over the cells.
+
+    Returns
+    -------
+    Table
+        90 x 90 x 180 cells, channels R, G, B, rows that are cells of incidence. No error bars.
+
+    Raises
+    ------
+    InputError
+        Wrong size or dimensions, or NaN.
+    """
+    bins = _read_bins(Path(path))
+    edges_i = np.radians(np.arange(91.0))
+    u = _midpoints(np.sin(edges_i) ** 2)
+    theta = np.arcsin(np.sqrt(u))
+    edges_phi = np.radians(np.arange(181.0))
+    phi = _midpoints(edges_phi)
+    values = np.empty((90, 90, 180, 3))
+    gaps = np.empty((90, 90, 180), bool)
+    for row in range(90):
+        total, count = np.zeros((90, 180, 3)), np.zeros((90, 180))
+        for theta_i in theta[row]:
+            here = _look_up(bins, half_difference(theta_i, theta.reshape(-1, 1), phi.ravel()))
+            here = here.reshape(90, _POINTS, 180, _POINTS, 2, 3)
+            valid = np.all(here >= 0, axis=-1)
+            total += np.einsum("rsptmc,rsptm->rpc", here, valid)
+            count += valid.sum(axis=(1, 3, 4))
+        gaps[row] = count == 0
+        values[row] = total / np.maximum(count, 1)[..., None]
+    table = Table(
+        values=values,
+        theta_i=np.radians(np.arange(90) + 0.5),
+        theta_i_edges=edges_i,
+        theta_r_edges=edges_i,
+        delta_phi_edges=edges_phi,
+        channels=("R", "G", "B"),
+        albedo=np.zeros((90, 3)),
+        gaps=gaps if gaps.any() else None,
+        provenance={"source": Path(path).name, "format": "MERL", "phi_d_bins": bins.shape[2]},
+    )
+    return table.replace(albedo=np.einsum("irpc,rp->ic", values, table.projected_solid_angles))
+
+
+def write(table: Table, path: Path) -> list[str]:
+    """Write a table's interpolated values at the centres of MERL's bins.
+
+    Parameters
+    ----------
+    table : Table
+        Of three channels, taken as R, G, B, or of one, written three times.
+    path : Path
+
+    Returns
+    -------
+    list of str
+        What was lost.
+
+    Raises
+    ------
+    InputError
+        Another number of channels.
+    OSError
+        The file cannot be written.
+    """
+    n_channels = len(table.channels)
+    if n_channels not in (1, 3):
+        raise InputError(
+            f"{path}: MERL holds R, G and B, the table has {n_channels} channels {table.channels}; "
+            "select or convert to three first"
+        )
+    wi, wo = bin_directions()
+    # A bin is read for light and detector exchanged as well
+    values = 0.5 * (table.eval(wi, wo) + table.eval(wo, wi))
+    below = (wi[:, 2] <= 0) | (wo[:, 2] <= 0)
+    stored = np.where(below[:, None], -1.0, values / FACTORS)
+    with atomic(path) as temporary, open(temporary, "wb") as file:
+        np.array([N_THETA_H, N_THETA_D, N_PHI_D], "<i4").tofile(file)
+        stored.T.astype("<f8").tofile(file)
+    return _lost(table)
+
+
+def half_difference(theta_i: Array | float, theta_r: Array, delta_phi: Array) -> tuple[Array, Array, Array]:
+    """MERL's angles of a pair of directions, for light at azimuth 0 and detector at `delta_phi`.
+
+    Returns
+    -------
+    theta_h, theta_d, phi_d : ndarray
+        Radians, of the arguments' broadcast shape; phi_d in [-pi, 0] for delta_phi in [0, pi], and of the
+        opposite sign for -delta_phi.
+    """
+    sin_i, cos_i = np.sin(theta_i), np.cos(theta_i)
+    sin_r = np.sin(theta_r)
+    x = sin_i + sin_r * np.cos(delta_phi)
+    y = sin_r * np.sin(delta_phi)
+    z = cos_i + np.cos(theta_r)
+    across = np.hypot(x, y)
+    length = np.hypot(across, z)
+    theta_h = np.arctan2(across, z)
+    theta_d = np.arccos(np.clip(0.5 * length, 0.0, 1.0))
+    # diff = R_y(-theta_h) R_z(-phi_h) wi; on the normal phi_h is that of +x
+    on_axis = across == 0
+    cos_phi_h = np.where(on_axis, 1.0, x) / np.where(on_axis, 1.0, across)
+    sin_phi_h = np.where(on_axis, 0.0, y) / np.where(on_axis, 1.0, across)
+    phi_d = np.arctan2(-sin_i * sin_phi_h, (sin_i * cos_phi_h * z - cos_i * across) / length)
+    return theta_h, theta_d, phi_d
+
+
+def bin_directions() -> tuple[Array, Array]:
+    """Directions to light and detector at the centres of all bins, in file order, shape (1458000, 3) each.
+
+    Light or detector stand below the horizon in bins that no reflection can reach.
+    """
+    theta_h = 0.5 * np.pi * ((np.arange(N_THETA_H) + 0.5) / N_THETA_H) ** 2
+    theta_d = 0.5 * np.pi * (np.arange(N_THETA_D) + 0.5) / N_THETA_D
+    phi_d = np.pi * (np.arange(N_PHI_D) + 0.5) / N_PHI_D
+    h, d, p = (a.ravel() for a in np.meshgrid(theta_h, theta_d, phi_d, indexing="ij"))
+    x, y, z = np.sin(d) * np.cos(p), np.sin(d) * np.sin(p), np.cos(d)
+    # The difference vector and its mirror image at the half vector, both turned by theta_h about y
+    turned = [
+        np.stack([np.cos(h) * a + np.sin(h) * z, b, np.cos(h) * z - np.sin(h) * a], axis=-1)
+        for a, b in ((x, y), (-x, -y))
+    ]
+    return turned[0], turned[1]
+
+
+def _read_bins(path: Path) -> Array:
+    """Values in 1/sr, negative where there is no data, shape (theta_h, theta_d, phi_d, 3)."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    size = path.stat().st_size
+    with open(path, "rb") as file:
+        dims = tuple(int(n) for n in np.frombuffer(file.read(12).ljust(12, b"\0"), "<i4"))
+        if dims[:2] != (N_THETA_H, N_THETA_D) or dims[2] not in (N_PHI_D, 2 * N_PHI_D):
+            raise InputError(f"{path}: MERL dimensions {dims}; (90, 90, 180) or (90, 90, 360) is expected")
+        n = int(np.prod(dims))
+        if size != 12 + 24 * n:
+            raise InputError(
+                f"{path}: {size} bytes, {12 + 24 * n} are expected for dimensions {dims}; the file is "
+                "truncated or not MERL, copy it again"
+            )
+        stored = np.fromfile(file, "<f8", 3 * n)
+    if not np.all(np.isfinite(stored)):
+        raise InputError(
+            f"{path}: contains NaN or infinity; finite numbers, negative for no data, are expected"
+        )
+    return np.moveaxis(stored.reshape(3, *dims), 0, -1) * FACTORS
+
+
+def _midpoints(edges: Array) -> Array:
+    """`_POINTS` midpoints of equal parts of each interval, shape (intervals, _POINTS)."""
+    inside = (np.arange(_POINTS) + 0.5) / _POINTS
+    return edges[:-1, None] + inside * np.diff(edges)[:, None]
+
+
+def _look_up(bins: Array, angles: tuple[Array, Array, Array]) -> Array:
+    """MERL's nearest-bin look-up for delta phi and for -delta phi, shape (..., 2, 3)."""
+    theta_h, theta_d, phi_d = angles
+    n_phi = bins.shape[2]
+    span = np.pi * n_phi / N_PHI_D  # 360 bins cover the full turn
+    h = np.minimum((N_THETA_H * np.sqrt(theta_h / (0.5 * np.pi))).astype(int), N_THETA_H - 1)
+    d = np.minimum((N_THETA_D * theta_d / (0.5 * np.pi)).astype(int), N_THETA_D - 1)
+    first = (h * N_THETA_D + d) * n_phi
+    flat = bins.reshape(-1, 3)
+    both = [
+        flat[first + np.minimum((n_phi / span * (phi % span)).astype(int), n_phi - 1)]
+        for phi in (phi_d, -phi_d)
+    ]
+    return np.stack(both, axis=-2)
+
+
+def _lost(table: Table) -> list[str]:
+    losses = [
+        "values between MERL's bins: theta_h is resolved to 0.01 degree at the peak and 2 degrees at 90",
+        "differences between light and detector exchanged: MERL holds their mean",
+    ]
+    if table.std_error is not None:
+        losses.append("error bars")
+    if np.any(table.specular > 0):
+        losses.append("the delta (mirror) term: MERL cannot hold it")
+    if table.wavelengths_nm is not None:
+        losses.append("wavelengths: MERL's channels are R, G and B")
+    if len(table.channels) == 1:
+        losses.append("nothing of the one channel: it is written as R, G and B")
+    return [*losses, "provenance, ledger and the grid of the rows"]

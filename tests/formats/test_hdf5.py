@@ -1,0 +1,247 @@
+"""The HDF5 table: everything comes back, every kind of damage is one clear line, nothing half-written."""
+
+from __future__ import annotations
+
+import errno
+import os
+
+import h5py
+import numpy as np
+import pytest
+
+from gonio import files, formats
+from gonio.table.table import Table
+from gonio.validation import seed_from
+from microgeometry.errors import InputError
+from tests.table.tables import asymmetric, grid, make
+
+
+def full_table():
+    """Every field set, none of them trivial."""
+    rng = np.random.default_rng(seed_from("full table"))
+    table = make(asymmetric, grid(6, 7, 8))
+    return table.replace(
+        std_error=rng.random(table.values.shape),
+        hits=rng.integers(0, 2**40, table.values.shape[:3]),
+        gaps=rng.random(table.values.shape[:3]) < 0.1,
+        albedo_std_error=rng.random((6, 3)),
+        specular=0.1 * rng.random((6, 3)),
+        specular_std_error=rng.random((6, 3)),
+        channels=("630 nm", "π", "B"),
+        wavelengths_nm=(630.0, 532.0, 467.0),
+        ledger={"paths": 1000.0, "reflected": 700.5},
+        provenance={"specimen": "kind = 'gaussian'\n" * 10_000, "seed": 3, "nested": {"alpha": [0.5, None]}},
+    )
+
+
+@pytest.fixture
+def saved(tmp_path):
+    path = tmp_path / "table.h5"
+    assert full_table().save(path) == []
+    return path
+
+
+def test_everything_comes_back(saved):
+    before, after = full_table(), Table.load(saved)
+    for name in Table.__dataclass_fields__:
+        want, found = getattr(before, name), getattr(after, name)
+        if isinstance(want, np.ndarray):
+            assert found.dtype == want.dtype, name
+            np.testing.assert_array_equal(found, want, err_msg=name)
+        else:
+            assert found == want, name
+
+
+def test_optional_fields_stay_absent(tmp_path):
+    make(asymmetric, theta_i=np.array([0.2, 0.9])).save(tmp_path / "bare.h5")
+    table = Table.load(tmp_path / "bare.h5")
+    for name in ("theta_i_edges", "std_error", "hits", "gaps", "wavelengths_nm"):
+        assert getattr(table, name) is None
+
+
+def test_units_axes_and_scales(saved):
+    with h5py.File(saved) as file:
+        assert file.attrs["format"] == "gonio-table"
+        assert file.attrs["version"] == "1.0"
+        values = file["values"]
+        assert values.attrs["units"] == "1/sr"
+        assert values.compression == "gzip"
+        assert [d.label for d in values.dims] == ["theta_i", "theta_r", "delta_phi", "channel"]
+        np.testing.assert_array_equal(values.dims[1][0][()], full_table().theta_r)
+        assert file["theta_i"].attrs["units"] == "rad"
+
+
+def test_xarray_opens_it(saved):
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
+    pytest.importorskip("h5netcdf", reason="h5netcdf, through which xarray reads HDF5, is not installed")
+    with xarray.open_dataset(saved, engine="h5netcdf") as data:
+        table = full_table()
+        assert data["values"].dims == ("theta_i", "theta_r", "delta_phi", "channel")
+        np.testing.assert_array_equal(data["values"], table.values)
+        np.testing.assert_array_equal(data["theta_i"], table.theta_i)
+        assert list(data["channel"].values) == list(table.channels)
+        assert data["values"].sel(theta_r=0.5, method="nearest").shape == (6, 8, 3)
+
+
+def edit(path, action):
+    with h5py.File(path, "r+") as file:
+        action(file)
+
+
+def drop(name):
+    return lambda path: edit(path, lambda f: f.__delitem__(name))
+
+
+def put(name, data):
+    def action(file):
+        if name in file:
+            del file[name]
+        file[name] = data
+
+    return lambda path: edit(path, action)
+
+
+def attribute(name, value):
+    return lambda path: edit(path, lambda f: f.attrs.__setitem__(name, value))
+
+
+def cut(fraction):
+    return lambda path: os.truncate(path, int(path.stat().st_size * fraction))
+
+
+def overwrite(path):
+    """Garble the deflated rows, not the structure."""
+    with h5py.File(path) as file:
+        chunk = file["std_error"].id.get_chunk_info(2)
+    with open(path, "r+b") as raw:
+        raw.seek(chunk.byte_offset)
+        raw.write(b"\xff" * chunk.size)
+
+
+DAMAGE = {
+    "text": (lambda p: p.write_text("theta,phi\n1,2\n"), "not an HDF5 file"),
+    "empty": (lambda p: p.write_bytes(b""), "not an HDF5 file"),
+    "truncated": (cut(0.6), "damaged or truncated"),
+    "truncated early": (cut(0.01), "damaged or truncated"),
+    "garbled chunk": (overwrite, "damaged or truncated"),
+    "foreign": (lambda p: (p.unlink(), edit_new(p)), "something else .it holds temperature"),
+    "newer": (attribute("version", "2.0"), "version 2.0 is newer than 1.0, update gonio"),
+    "no version": (attribute("version", "x"), "attribute version"),
+    "no values": (drop("values"), "dataset values is missing"),
+    "no channel": (drop("channel"), "dataset channel is missing"),
+    "no albedo": (drop("albedo"), "dataset albedo is missing"),
+    "shape": (put("albedo", np.zeros((5, 3))), r"albedo: shape \(5, 3\); \(6, 3\) is expected"),
+    "text values": (put("values", "hello"), "dataset values holds .*numbers are expected"),
+    "float hits": (put("hits", np.zeros((6, 7, 8))), "dataset hits holds float64; integers"),
+    "nan": (put("values", np.full((6, 7, 8, 3), np.nan)), "values: contains NaN"),
+    "nan error": (put("std_error", np.full((6, 7, 8, 3), np.nan)), "std_error: contains NaN"),
+    "axis": (put("theta_r_edges", np.linspace(0, 2, 8)), "theta_r_edges: must increase"),
+    "ledger": (attribute("ledger", "{nonsense"), "attribute ledger is no JSON"),
+    "group": (
+        lambda p: edit(p, lambda f: (f.__delitem__("albedo"), f.create_group("albedo"))),
+        "albedo holds a group",
+    ),
+}
+
+
+def edit_new(path):
+    with h5py.File(path, "w") as file:
+        file["temperature"] = np.arange(3)
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_damaged_files(saved, name):
+    damage, message = DAMAGE[name]
+    damage(saved)
+    with pytest.raises(InputError, match=message) as caught:
+        Table.load(saved)
+    assert str(saved) in str(caught.value)
+    assert str(caught.value).count(str(saved)) == 1
+    assert "\n" not in str(caught.value)
+
+
+def test_a_claim_no_file_can_hold(saved):
+    """A hundred bytes that say 8 TB: refused before anything is allocated."""
+
+    def huge(file):
+        del file["values"]
+        file.create_dataset("values", (100, 10_000, 1_000_000, 1), float, chunks=(1, 100, 100, 1))
+
+    edit(saved, huge)
+    with pytest.raises(InputError, match="claims shape"):
+        Table.load(saved)
+
+
+def test_newer_minor_version_is_read(saved):
+    attribute("version", "1.7")(saved)
+    assert Table.load(saved).values.shape == (6, 7, 8, 3)
+
+
+def test_missing_file_and_unknown_suffix(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        Table.load(tmp_path / "absent.h5")
+    (tmp_path / "folder.h5").mkdir()
+    with pytest.raises(InputError, match="is not a file"):
+        Table.load(tmp_path / "folder.h5")
+    for action in (Table.load, full_table().save, lambda p: formats.convert(tmp_path / "absent.h5", p)):
+        with pytest.raises(InputError, match=r"unknown suffix '\.png'; allowed are \.h5, \.binary"):
+            action(tmp_path / "table.png")
+
+
+def test_failure_while_writing_leaves_the_old_file(saved, monkeypatch):
+    before = saved.read_bytes()
+
+    def full(*_args, **_options):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left") as caught:
+        full_table().save(saved)
+    assert str(saved) in str(caught.value)
+    assert saved.read_bytes() == before
+    assert os.listdir(saved.parent) == [saved.name]
+
+
+def test_disk_full(tmp_path):
+    """A real limit on the size of files, in a process of its own."""
+    resource = pytest.importorskip("resource")
+    pid = os.fork()
+    if pid == 0:
+        import signal
+
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
+        status = 1
+        try:
+            full_table().save(tmp_path / "full.h5")
+        except OSError as error:
+            status = 0 if str(tmp_path / "full.h5") in str(error) else 2
+        finally:
+            os._exit(status)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+    assert os.listdir(tmp_path) == []
+
+
+def test_missing_folder(tmp_path):
+    with pytest.raises(OSError, match=r"absent/t\.h5 could not be written"):
+        full_table().save(tmp_path / "absent" / "t.h5")
+
+
+def test_atomic_keeps_the_usual_mode_and_removes_on_any_error(tmp_path):
+    with files.atomic(tmp_path / "a.json") as temporary:
+        assert temporary.suffix == ".json"
+        assert not (tmp_path / "a.json").exists()
+        temporary.write_text("{}")
+    mask = os.umask(0)
+    os.umask(mask)
+    assert (tmp_path / "a.json").stat().st_mode & 0o777 == 0o666 & ~mask
+
+    def interrupted():
+        with files.atomic(tmp_path / "a.json") as temporary:
+            temporary.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert (tmp_path / "a.json").read_text() == "{}"
+    assert os.listdir(tmp_path) == ["a.json"]

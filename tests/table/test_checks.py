@@ -1,0 +1,153 @@
+"""Checks: quiet on good tables however noisy, loud on the faults they are for."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from gonio.table.checks import check
+from gonio.validation import seed_from
+from tests.table.tables import asymmetric, ggx, grid, make
+
+
+def poisson(brdf, rng, paths, edges, asymmetry=0.0, batches=None, tint=(1.0,)):
+    """A table as a tracer of unit weights leaves it; `asymmetry` brightens cells with theta_r > theta_i."""
+    truth = make(brdf, edges, tint=tint, cell_points=2)
+    values = truth.values.copy()
+    paired = np.sqrt(values * values.transpose(1, 0, 2, 3))  # reciprocal to the last digit
+    steeper = np.arange(len(edges[1]) - 1) > np.arange(len(edges[0]) - 1)[:, None]
+    paired *= 1 + asymmetry * steeper[:, :, None, None]
+    exposure = paths / len(truth.theta_i) * truth.projected_solid_angles[:, :, None]
+    counts = rng.poisson(paired * exposure)
+    if batches is None:
+        error = np.sqrt(np.maximum(counts, 9)) / exposure
+        error = np.where(counts > 0, np.sqrt(counts) / exposure, error)
+    else:  # from the scatter of batches
+        parts = rng.poisson(np.broadcast_to(paired * exposure / batches, (batches, *counts.shape)))
+        counts = parts.sum(axis=0)
+        error = np.where(counts > 0, parts.std(axis=0, ddof=1) * np.sqrt(batches), 3) / exposure
+    values = counts / exposure
+    albedo = np.einsum("irpc,rp->ic", values, truth.projected_solid_angles)
+    return truth.replace(
+        values=values,
+        std_error=error,
+        albedo=albedo,
+        hits=counts[..., 0],
+        albedo_std_error=np.sqrt(albedo / (paths / len(truth.theta_i))),
+        provenance={} if batches is None else {"batches": batches},
+    )
+
+
+def named(report, name):
+    return next(c for c in report.checks if c.name == name)
+
+
+@pytest.mark.parametrize("paths", [3e4, 1e6, 3e7])
+def test_reciprocal_poisson_tables_pass(paths):
+    """From 1 hit in ten cells to 1000 a cell: chi^2 per degree of freedom is 1, not near 1."""
+    rng = np.random.default_rng(seed_from(f"poisson {paths}"))
+    for _ in range(5):
+        report = check(poisson(ggx(0.5, 0.9), rng, paths, grid(20, 20, 40)))
+        for scale in ("cells", "rings"):
+            found = named(report, f"reciprocity of {scale}")
+            assert found.passed in (True, None)
+            if found.numbers["dof"] > 0:
+                sigma = np.sqrt(2 / found.numbers["dof"])
+                assert abs(found.numbers["chi2_per_dof"] - 1) < 4.5 * sigma + 0.01
+        assert report.passed, report.lines()
+
+
+def test_error_bars_from_few_batches():
+    rng = np.random.default_rng(seed_from("batches"))
+    report = check(poisson(ggx(0.5, 0.9), rng, 2e6, grid(20, 20, 40), batches=8))
+    assert report.passed, report.lines()
+    assert named(report, "reciprocity of cells").numbers["chi2_per_dof"] == pytest.approx(1, abs=0.12)
+
+
+@pytest.mark.parametrize("asymmetry", [0.03, -0.03])
+def test_three_percent_asymmetry_is_found(asymmetry):
+    """20 M paths over 45 rows: 220 hits a cell, 3 % is hidden in each and plain in the rings."""
+    rng = np.random.default_rng(seed_from("asymmetry"))
+    report = check(poisson(ggx(0.5, 0.9), rng, 2e7, grid(45, 45, 45), asymmetry))
+    assert not report.passed
+    assert named(report, "reciprocity of rings").passed is False
+
+
+def test_exact_rows_and_tables_without_errors_only_inform():
+    bare = check(make(ggx(0.5, 0.9), grid(20, 20, 30), tint=(0.5,)))
+    assert bare.passed, bare.lines()
+    assert named(bare, "asymmetry").passed is None
+    assert named(bare, "asymmetry").numbers["relative_rms"] < 1e-9
+    rows = make(ggx(0.5, 0.9), grid(20, 90, 30), theta_i=np.radians([10.0, 40.0, 70.0]), tint=(0.5,))
+    assert named(check(rows), "asymmetry").numbers["relative_rms"] < 0.01
+    skewed = make(asymmetric, grid(20, 90, 30), theta_i=np.radians([10.0, 40.0, 70.0]))
+    assert named(check(skewed), "asymmetry").numbers["relative_rms"] > 0.1
+
+
+def test_energy():
+    rng = np.random.default_rng(seed_from("energy"))
+    table = poisson(ggx(0.5, 0.9), rng, 1e6, grid(20, 20, 30))
+    sigma = table.albedo_std_error
+    bright = table.replace(albedo=np.where(np.arange(20)[:, None] == 7, 1 + 3 * sigma, table.albedo))
+    assert named(check(bright), "energy").passed
+    bright = table.replace(albedo=np.where(np.arange(20)[:, None] == 7, 1 + 6 * sigma, table.albedo))
+    assert named(check(bright), "energy").passed is False
+    assert named(check(bright), "albedo is the sum over cells").passed is False
+
+
+def test_positivity_looks_at_the_error_bars():
+    rng = np.random.default_rng(seed_from("positivity"))
+    table = poisson(ggx(0.5, 0.9), rng, 1e6, grid(20, 20, 30))
+    values = table.values.copy()
+    values[3, 4, 5] = -2 * table.std_error[3, 4, 5]
+    assert named(check(table.replace(values=values)), "positivity").passed
+    values[3, 4, 5] = -9 * table.std_error[3, 4, 5]
+    assert named(check(table.replace(values=values)), "positivity").numbers["negative"] == 1
+    assert not check(table.replace(values=values)).passed
+
+
+def test_noise():
+    """Every cell with a relative error of 5 %."""
+    table = make(ggx(0.5, 0.5), grid(10, 10, 12))
+    table = table.replace(std_error=0.05 * table.values)
+    assert named(check(table), "noise").numbers["median"] == pytest.approx(0.05)
+
+
+def test_ledger():
+    table = make(ggx(0.5, 0.5), grid(10, 10, 12))
+    good = {
+        "paths": 1e6,
+        "reflected": 7e5,
+        "transmitted": 0.0,
+        "absorbed": 3e5 - 1,
+        "killed": 0.5,
+        "lost": 0.5,
+    }
+    assert named(check(table.replace(ledger=good)), "ledger").passed
+    assert named(check(table.replace(ledger={**good, "absorbed": 3e5})), "ledger").passed is False
+    lossy = {**good, "lost": 2.5, "absorbed": 3e5 - 3}
+    assert named(check(table.replace(ledger=lossy)), "ledger").passed is False
+    assert named(check(table), "ledger").passed is None
+
+
+def test_gaps_are_left_out():
+    rng = np.random.default_rng(seed_from("gaps"))
+    table = poisson(ggx(0.5, 0.9), rng, 1e6, grid(20, 20, 30))
+    gaps = np.zeros(table.values.shape[:3], bool)
+    gaps[5, 8:12] = True
+    values = np.where(gaps[..., None], 0.0, table.values)
+    report = check(table.replace(values=values, gaps=gaps))
+    assert report.passed, report.lines()
+    assert not check(table.replace(values=values)).passed
+
+
+def test_report_is_json_and_text():
+    report = check(make(ggx(0.5, 0.5), grid(6, 6, 6)))
+    assert json.loads(json.dumps(report.to_json()))["passed"] is report.passed
+    assert len(report.lines()) == len(report.checks)
+
+
+def test_single_cell_table():
+    assert check(make(ggx(0.5, 0.5), grid(1, 1, 1))).passed
