@@ -1,0 +1,216 @@
+"""Compiled loops of the fit: cell averages of a model's terms, normal equations, pooling of variances.
+
+Cells are triples (row, ring, sector) into three small tables of quadrature nodes (see `fitting.grid`),
+so no direction is stored per cell and nothing is copied per evaluation. A table of nodes has the shape
+(levels, n, nodes, 3): sine, cosine and weight; level l has the first 2**l nodes in use.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fitting.models.dispatch import lobe_terms
+from gonio.core.jit import kernel, prange
+
+CHUNKS = 256  # fixed, so that sums do not depend on the number of threads
+
+
+@kernel
+def _average_terms(kinds, shapes, rows, rings, sectors, cell, level, exact_rows, out):
+    """Averages of every lobe's two terms over one cell, into `out`, shape (2 lobes,)."""
+    i, r, s = cell[0], cell[1], cell[2]
+    nodes = 1 << level
+    row_nodes = 1 if exact_rows else nodes
+    out[:] = 0.0
+    for a in range(row_nodes):
+        wi = (rows[level, i, a, 0], 0.0, rows[level, i, a, 1])
+        for b in range(nodes):
+            sine, cosine = rings[level, r, b, 0], rings[level, r, b, 1]
+            weight = rows[level, i, a, 2] * rings[level, r, b, 2]
+            for c in range(nodes):
+                wo = (sine * sectors[level, s, c, 1], sine * sectors[level, s, c, 0], cosine)
+                w = weight * sectors[level, s, c, 2]
+                for k in range(len(kinds)):
+                    first, second = lobe_terms(kinds[k], shapes[k], wi, wo)
+                    out[2 * k] += w * first
+                    out[2 * k + 1] += w * second
+
+
+@kernel(parallel=True)
+def cell_terms(kinds, shapes, rows, rings, sectors, cells, levels, exact_rows):
+    """Averages of the terms over many cells.
+
+    Parameters
+    ----------
+    kinds : ndarray of int64, shape (L,)
+    shapes : ndarray, shape (L, SIZE)
+    rows, rings, sectors : ndarray, shape (levels, n, nodes, 3)
+    cells : ndarray of int32, shape (N, 3)
+    levels : ndarray of int8, shape (N,)
+    exact_rows : bool
+        Rows are single angles: one node whatever the level.
+
+    Returns
+    -------
+    ndarray, shape (N, 2 L)
+        1/sr.
+    """
+    n = len(cells)
+    out = np.empty((n, 2 * len(kinds)))
+    for chunk in prange(CHUNKS):
+        for index in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):
+            level = np.int64(levels[index])
+            _average_terms(kinds, shapes, rows, rings, sectors, cells[index], level, exact_rows, out[index])
+    return out
+
+
+@kernel(parallel=True)
+def normal_equations(kinds, shapes, rows, rings, sectors, cells, levels, exact_rows, values, weights):
+    """Weighted normal equations of every channel, the terms evaluated on the fly.
+
+    Parameters
+    ----------
+    kinds, shapes, rows, rings, sectors, cells, levels, exact_rows
+        As `cell_terms`.
+    values, weights : ndarray, shape (N, C)
+
+    Returns
+    -------
+    ndarray, shape (C, 2 L, 2 L + 1)
+        Sums of w t_j t_k, lower triangle, and in the last column of w t_j y.
+    """
+    n, channels = values.shape
+    size = 2 * len(kinds)
+    parts = np.zeros((CHUNKS, channels, size, size + 1))
+    for chunk in prange(CHUNKS):
+        terms = np.empty(size)
+        part = parts[chunk]
+        for index in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):
+            level = np.int64(levels[index])
+            _average_terms(kinds, shapes, rows, rings, sectors, cells[index], level, exact_rows, terms)
+            for channel in range(channels):
+                w, y = weights[index, channel], values[index, channel]
+                for j in range(size):
+                    wt = w * terms[j]
+                    for k in range(j + 1):
+                        part[channel, j, k] += wt * terms[k]
+                    part[channel, j, size] += wt * y
+    total = np.zeros((channels, size, size + 1))
+    for chunk in range(CHUNKS):
+        total += parts[chunk]
+    return total
+
+
+@kernel
+def pooled_variance(variance, counts, usable, areas, least):
+    """Variances of one row's cells, smoothed over blocks that hold enough hits.
+
+    A variance estimated from the cell's own few hits is low where the value happens to be low, so
+    weights made of it pull a fit down by about one hit per cell. Here a cell's variance comes from the
+    cells of the other colour of a chessboard within its block: as large on average, but independent of
+    what this cell happened to count.
+
+    Parameters
+    ----------
+    variance : ndarray, shape (R, P, C)
+        Squared standard errors of the values.
+    counts : ndarray, shape (R, P)
+        Hits.
+    usable : ndarray of bool, shape (R, P)
+        Cells that were measured.
+    areas : ndarray, shape (R, P)
+        Projected solid angles: a value's variance goes as value / area.
+    least : float
+        Blocks are halved, along the longer side first, while both halves hold this many hits.
+
+    Returns
+    -------
+    ndarray, shape (R, P, C)
+        0 where a block has no hits at all.
+    """
+    rings, sectors, channels = variance.shape
+    sums = np.zeros((rings + 1, sectors + 1))
+    for r in range(rings):
+        for s in range(sectors):
+            own = counts[r, s] if usable[r, s] else 0.0
+            sums[r + 1, s + 1] = sums[r, s + 1] + sums[r + 1, s] - sums[r, s] + own
+    out = np.zeros((rings, sectors, channels))
+    stack = np.empty((rings * sectors + 1, 4), np.int64)
+    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0, rings, 0, sectors
+    height = 1
+    while height > 0:
+        height -= 1
+        r0, r1, s0, s1 = stack[height, 0], stack[height, 1], stack[height, 2], stack[height, 3]
+        split = False
+        for attempt in range(2):
+            along_rings = ((r1 - r0) * 2 >= s1 - s0) == (attempt == 0)  # sectors span twice the angle
+            if along_rings and r1 - r0 > 1:
+                middle = (r0 + r1) // 2
+                first = _block(sums, r0, middle, s0, s1)
+                if first >= least and _block(sums, r0, r1, s0, s1) - first >= least:
+                    stack[height, 0], stack[height, 1], stack[height, 2], stack[height, 3] = (
+                        r0,
+                        middle,
+                        s0,
+                        s1,
+                    )
+                    height += 1
+                    stack[height, 0], stack[height, 1], stack[height, 2], stack[height, 3] = (
+                        middle,
+                        r1,
+                        s0,
+                        s1,
+                    )
+                    height += 1
+                    split = True
+                    break
+            elif not along_rings and s1 - s0 > 1:
+                middle = (s0 + s1) // 2
+                first = _block(sums, r0, r1, s0, middle)
+                if first >= least and _block(sums, r0, r1, s0, s1) - first >= least:
+                    stack[height, 0], stack[height, 1], stack[height, 2], stack[height, 3] = (
+                        r0,
+                        r1,
+                        s0,
+                        middle,
+                    )
+                    height += 1
+                    stack[height, 0], stack[height, 1], stack[height, 2], stack[height, 3] = (
+                        r0,
+                        r1,
+                        middle,
+                        s1,
+                    )
+                    height += 1
+                    split = True
+                    break
+        if not split:
+            _smooth_block(variance, counts, usable, areas, r0, r1, s0, s1, out)
+    return out
+
+
+@kernel
+def _block(sums, r0, r1, s0, s1):
+    return sums[r1, s1] - sums[r0, s1] - sums[r1, s0] + sums[r0, s0]
+
+
+@kernel
+def _smooth_block(variance, counts, usable, areas, r0, r1, s0, s1, out):
+    """Variance x area is taken as constant over a block and estimated from each chessboard colour."""
+    for channel in range(out.shape[2]):
+        squares = np.zeros(2)
+        area = np.zeros(2)
+        for r in range(r0, r1):
+            for s in range(s0, s1):
+                if usable[r, s]:
+                    # an empty cell's error is an upper bound; its share of the variance is zero
+                    if counts[r, s] > 0:
+                        squares[(r + s) % 2] += variance[r, s, channel] * areas[r, s] ** 2
+                    area[(r + s) % 2] += areas[r, s]
+        for r in range(r0, r1):
+            for s in range(s0, s1):
+                other = 1 - (r + s) % 2
+                if squares[other] > 0.0:
+                    out[r, s, channel] = squares[other] / area[other] / areas[r, s]
+                elif squares[1 - other] > 0.0:
+                    out[r, s, channel] = squares[1 - other] / area[1 - other] / areas[r, s]
