@@ -21,6 +21,7 @@ from typing import Any
 
 _PROCESSORS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 # numba fixes the largest number of threads at import; leave room to ask for more than there are processors
+_ASKED = os.environ.get("NUMBA_NUM_THREADS")
 os.environ.setdefault("NUMBA_NUM_THREADS", str(max(_PROCESSORS, 8)))
 
 import numba  # noqa: E402
@@ -29,7 +30,7 @@ from numba.core import config  # noqa: E402
 
 from microgeometry.errors import InputError  # noqa: E402
 
-__all__ = ["disabled", "kernel", "prange", "set_threads"]
+__all__ = ["disabled", "kernel", "prange", "set_threads", "threads"]
 
 _ROOT = Path(__file__).resolve().parents[2]
 # Packages with kernels, lowest floor first. A kernel may call into its own floor and those below.
@@ -39,9 +40,9 @@ _UNUSED_DAYS = 30
 disabled: bool = bool(config.DISABLE_JIT)
 """True when kernels run as plain Python (NUMBA_DISABLE_JIT=1)."""
 
+if not disabled and _ASKED is None:
+    numba.set_num_threads(min(_PROCESSORS, config.NUMBA_NUM_THREADS))
 
-if not disabled and numba.get_num_threads() > _PROCESSORS:
-    numba.set_num_threads(_PROCESSORS)
 
 
 def kernel(function: Callable | None = None, *, parallel: bool = False, inline: bool = False) -> Any:
@@ -84,7 +85,12 @@ def kernel(function: Callable | None = None, *, parallel: bool = False, inline: 
     return decorate if function is None else decorate(function)
 
 
-def set_threads(threads: int) -> None:
+def threads() -> int:
+    """Threads that parallel kernels run on: NUMBA_NUM_THREADS, or all processors this process may use."""
+    return 1 if disabled else numba.get_num_threads()
+
+
+def set_threads(count: int) -> None:
     """Use this many threads for parallel kernels from now on.
 
     Raises
@@ -92,16 +98,16 @@ def set_threads(threads: int) -> None:
     InputError
         Less than 1, or more than numba was started with.
     """
-    if threads < 1:
-        raise InputError(f"threads: {threads}; at least 1 is needed")
+    if count < 1:
+        raise InputError(f"threads: {count}; at least 1 is needed")
     if disabled:
         return
-    if threads > config.NUMBA_NUM_THREADS:
+    if count > config.NUMBA_NUM_THREADS:
         raise InputError(
-            f"threads: {threads}; at most {config.NUMBA_NUM_THREADS} in this process: set the environment "
-            f"variable NUMBA_NUM_THREADS={threads} before it starts"
+            f"threads: {count}; at most {config.NUMBA_NUM_THREADS} in this process: set the environment "
+            f"variable NUMBA_NUM_THREADS={count} before it starts"
         )
-    numba.set_num_threads(threads)
+    numba.set_num_threads(count)
 
 
 @lru_cache
