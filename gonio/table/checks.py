@@ -165,9 +165,9 @@ def _compare(
     """
     n_pairs, n_sectors, n_channels = sums[0].shape
     # effective hits, both sides together: (sum f)^2 / sum variance of each cell
-    hits = sum(
-        np.divide(f**2, v, out=np.zeros_like(f), where=v > 0) for f, v in zip(sums, variances, strict=True)
-    )
+    hits = np.zeros_like(sums[0])
+    for f, v in zip(sums, variances, strict=True):
+        hits += np.divide(f**2, v, out=np.zeros_like(f), where=v > 0)
     if name == "rings":
         block = np.zeros((n_pairs, n_sectors, n_channels), int)
     else:
