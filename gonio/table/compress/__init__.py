@@ -117,8 +117,9 @@ def compress(
         decoded = hdf5.read(temporary)
         errors = row_errors(table, decoded.values)
         if np.any(errors > bound * (1 + 1e-9)):
+            excess = float(np.max(errors / bound))
             raise RuntimeError(
-                f"{path}: {method} exceeds its bound by a factor of {np.max(errors / bound):.3g} when read back"
+                f"{path}: {method} exceeds its bound by a factor of {excess:.3g} when read back"
             )
     areas = table.projected_solid_angles
     size = path.stat().st_size
