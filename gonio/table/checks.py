@@ -180,7 +180,9 @@ def _compare(
             gathered[full] = 0.0
     lines = np.arange(n_pairs)[:, None, None] * n_channels + np.arange(n_channels)
     keys: NDArray = (lines * (n_sectors + 1) + block).ravel()
-    merged = [np.bincount(keys, a.ravel()) for a in (*sums, *variances, hits, np.ones_like(hits))]
+    merged: list[Array] = [
+        np.bincount(keys, a.ravel()) for a in (*sums, *variances, hits, np.ones_like(hits))
+    ]
     f1, f2, v1, v2, hits, cells = merged
     enough = np.repeat(np.repeat(MIN_HITS / share, n_channels), n_sectors + 1)[: len(hits)]
     # The last block of a line may be short of hits: the stopping rule drops it without looking at f1 - f2
