@@ -180,7 +180,7 @@ def _compare(
             gathered[full] = 0.0
     lines = np.arange(n_pairs)[:, None, None] * n_channels + np.arange(n_channels)
     keys: NDArray = (lines * (n_sectors + 1) + block).ravel()
-    merged: list[Array] = [
+    merged: list[NDArray] = [
         np.bincount(keys, a.ravel()) for a in (*sums, *variances, hits, np.ones_like(hits))
     ]
     f1, f2, v1, v2, hits, cells = merged
