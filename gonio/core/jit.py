@@ -45,7 +45,9 @@ if not disabled and _ASKED is None:
 
 
 
-def kernel(function: Callable | None = None, *, parallel: bool = False, inline: bool = False) -> Any:
+def kernel(
+    function: Callable | None = None, *, parallel: bool = False, inline: bool = False, allocates: bool = True
+) -> Any:
     """Compile a function for numba's nopython mode, cached across processes.
 
     Parameters
@@ -58,6 +60,9 @@ def kernel(function: Callable | None = None, *, parallel: bool = False, inline: 
         iteration only, so that results do not depend on the number of threads.
     inline : bool
         Inline into the caller at numba's level, for small helpers that return tuples.
+    allocates : bool
+        Say False where neither the function nor what it inlines makes an array: numba then leaves out
+        the counting of references to its array arguments, an atomic operation for each at every call.
 
     Returns
     -------
@@ -78,6 +83,7 @@ def kernel(function: Callable | None = None, *, parallel: bool = False, inline: 
                 error_model="numpy",
                 fastmath={"contract"},
                 inline="always" if inline else "never",
+                _nrt=allocates,
             )(f)
         finally:
             config.CACHE_DIR = previous

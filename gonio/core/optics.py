@@ -7,7 +7,7 @@ import math
 from gonio.core.jit import kernel
 
 
-@kernel
+@kernel(allocates=False)
 def fresnel_dielectric(cos_i, eta):
     """Intensity reflectances (R_s, R_p) of a lossless interface.
 
@@ -35,7 +35,7 @@ def fresnel_dielectric(cos_i, eta):
     return r_s * r_s, r_p * r_p
 
 
-@kernel
+@kernel(allocates=False)
 def fresnel_conductor(cos_i, eta, k):
     """Intensity reflectances (R_s, R_p) of an absorbing half-space of index eta + i k seen from vacuum.
 

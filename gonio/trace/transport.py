@@ -36,7 +36,7 @@ _TWO = np.float32(2.0)
 _FAR = np.float32(np.inf)
 
 
-@kernel
+@kernel(allocates=False)
 def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
     """Place 16 paths on the plane z = top, one in each cell of a 4 x 4 grid of strata, heading along -wi.
 
@@ -68,7 +68,7 @@ def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
         ints[VALID, lane] = -1
 
 
-@kernel
+@kernel(allocates=False)
 def trace_packet(
     embree, box, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path, weight, bounces, status, absorbed
 ):
@@ -140,7 +140,7 @@ def trace_packet(
     return rays
 
 
-@kernel
+@kernel(allocates=False)
 def _cross(box, packet, lane):
     """Take a ray that hit nothing in its tile to the tile's face: out above, lost below, or in again opposite."""
     x, y, z = packet[ORG_X, lane], packet[ORG_Y, lane], packet[ORG_Z, lane]
@@ -176,7 +176,7 @@ def _cross(box, packet, lane):
     return 0
 
 
-@kernel
+@kernel(allocates=False)
 def _scatter(packet, lane, lift, eta_k, albedo, max_bounces, seed, batch, path, weight, bounces, absorbed):
     """Turn a path at a hit into a new direction; returns how it ended, or 0 if it goes on."""
     nx, ny, nz = packet[NORMAL_X, lane], packet[NORMAL_Y, lane], packet[NORMAL_Z, lane]
@@ -226,7 +226,7 @@ def _scatter(packet, lane, lift, eta_k, albedo, max_bounces, seed, batch, path, 
     return 0
 
 
-@kernel
+@kernel(allocates=False)
 def _roulette(lane, seed, batch, path, weight, bounces, absorbed):
     """Russian roulette on the strongest channel: survivors carry the energy of those that end here."""
     channels = weight.shape[1]
