@@ -80,9 +80,9 @@ def test_cell_averages_are_compared_with_cell_averages(alpha: float) -> None:
 def test_few_hits_a_cell_do_not_bias_the_fit() -> None:
     """Weights from a cell's own count pull a fit down by a hit a cell; here cells have about 7 hits."""
     truth = gold(0.5)
-    table = truth.table(grid(15, 45, 90))
+    table = truth.table(grid(10, 36, 60))
     rng = np.random.default_rng(11)
-    found = [numbers(fit(counted(table, 400_000, rng), truth.model)) for _ in range(8)]
+    found = [numbers(fit(counted(table, 150_000, rng), truth.model)) for _ in range(8)]
     for name, expected in numbers(truth).items():
         values = np.array([f[name] for f in found])
         error = values.std(ddof=1) / np.sqrt(len(values))
