@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -99,7 +100,14 @@ def compress(table: Path, out: Path, max_error: float, as_json: bool) -> None:
     from gonio.table.compress import compress as run_compression
 
     report = run_compression(formats.read(table), out, max_error)
-    click.echo(json.dumps(report.to_json()) if as_json else "\n".join(report.lines()))
+    if as_json:
+        click.echo(json.dumps(asdict(report)))
+        return
+    click.echo(
+        f"{out}: {report.bytes / 1e3:.0f} kB, {report.ratio:.0f}:1 against float32; error of a row {report.error_median:.4f} "
+        f"(median), {report.error_worst:.4f} (worst); asked {report.max_error:g}, the table's own noise "
+        f"{report.noise_median:.4f} (median), {report.noise_worst:.4f} (worst)"
+    )
 
 
 @click.command()
@@ -118,7 +126,7 @@ def bench(names: tuple[str, ...], as_json: bool) -> None:
     """Measure speed against error, as ratios within one run. NAMES default to all benchmarks."""
     from gonio.bench import run_benchmarks
 
-    results = run_benchmarks(names, quiet=as_json)
+    results = run_benchmarks(names, (lambda line: None) if as_json else click.echo)
     if as_json:
         click.echo(json.dumps(results))
 

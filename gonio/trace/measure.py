@@ -90,6 +90,7 @@ class Measurement:
             max(1, -(-_UNITS // rows)),
         )
         self.seconds = 0.0
+        self.trace_seconds = 0.0  # of which in the kernel
         self._statistics: list[SurfaceStatistics] = []
 
     def add_batch(self) -> None:
@@ -106,11 +107,13 @@ class Measurement:
         paths_per_row = self.paths_per_batch // len(self._theta_i)
         coherent = paths_per_row * _COHERENT_FACETS >= scene.facets
         cells, specular, reflected, ledger = self.tally.accumulators
+        tracing = time.perf_counter()
         trace_batch(
             scene.embree, scene.box, coherent, self._optics.eta_k, self._optics.albedo, *self._sin2, self._theta_axis,
             self._phi_axis, *self._strata, cells.shape[1], self.seed, batch, MAX_BOUNCES,
             cells, specular, reflected, ledger,
         )  # fmt: skip
+        self.trace_seconds += time.perf_counter() - tracing
         self.tally.close_batch(paths_per_row)
         self.seconds += time.perf_counter() - started
         self._check_lost(1e-3)

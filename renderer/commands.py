@@ -1,0 +1,87 @@
+"""Commands of the renderer."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+import click
+
+from gonio.progress import progress_bar
+from microgeometry.errors import InputError
+from renderer.mitsuba_xml import load_scene
+from renderer.render import render
+
+
+@click.command("render")
+@click.argument("scene_path", metavar="SCENE.xml", type=click.Path(path_type=Path))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="EXR; a PNG goes beside it.")
+@click.option("--spp", type=int, help="Samples a pixel; the scene's sample_count by default.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Another seed, other noise.")
+@click.option("--threads", type=int, help="All cores by default; the picture does not depend on it.")
+@click.option("-D", "defines", metavar="NAME=VALUE", multiple=True, help="Value of a $name in the scene.")
+def render_command(
+    scene_path: Path,
+    output: Path,
+    spp: int | None,
+    seed: int,
+    threads: int | None,
+    defines: tuple[str, ...],
+) -> None:
+    """Render a Mitsuba scene to an EXR with error bars and a tone-mapped PNG.
+
+    Ctrl-C saves the picture as far as it is; a second one stops at once.
+    """
+    if output.suffix.lower() != ".exr":
+        raise InputError(f"{output}: the picture is an EXR; a name that ends in .exr is needed")
+    if not output.parent.is_dir():
+        raise InputError(f"{output}: the folder {output.parent} does not exist")
+    scene = load_scene(scene_path, _parameters(defines))
+    with _interruptible() as stop, progress_bar(f"Rendering {scene_path.name}") as report:
+        image = render(scene, spp=spp, seed=seed, threads=threads, progress=report, stop=stop)
+    image.save(output)
+    image.save(output.with_suffix(".png"))
+    facts = image.provenance
+    wanted = scene.spp if spp is None else spp
+    short = f" of {wanted}, interrupted" if facts["spp"] < wanted else ""
+    click.echo(
+        f"{output}: {scene.camera.width} x {scene.camera.height}, {facts['spp']} spp{short}, "
+        f"{facts['seconds']:.1f} s, {facts['paths_per_second'] / 1e6:.2f} M paths/s, noise {100 * image.noise:.2g} %"
+    )
+
+
+def _parameters(defines: tuple[str, ...]) -> dict[str, str]:
+    parameters = {}
+    for text in defines:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise InputError(f"-D {text}: is not NAME=VALUE")
+        parameters[name] = value
+    return parameters
+
+
+@contextmanager
+def _interruptible() -> Iterator:
+    """Ctrl-C makes the yielded function say True; a second Ctrl-C raises KeyboardInterrupt."""
+    pressed = threading.Event()
+    if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
+        yield pressed.is_set
+        return
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if pressed.is_set():
+            signal.default_int_handler(number, frame)
+        pressed.set()
+
+    previous = signal.signal(signal.SIGINT, handle)
+    try:
+        yield pressed.is_set
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+COMMANDS: tuple[click.Command, ...] = (render_command,)

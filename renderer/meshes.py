@@ -1,0 +1,82 @@
+"""Triangle meshes: the built-in ones, and files through trimesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from microgeometry.errors import InputError
+from renderer.scene import Array, Mesh
+
+_CUBE_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+# Counter-clockwise seen from outside; corner number is 4 x + 2 y + z with 0 for -1
+_CUBE_QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+_SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+
+
+def rectangle() -> Mesh:
+    """The square [-1, 1]^2 in the plane z = 0 with normal +z."""
+    return Mesh(_SQUARE, np.array([[0, 1, 2], [0, 2, 3]]))
+
+
+def cube() -> Mesh:
+    """The cube [-1, 1]^3 with normals outwards."""
+    return Mesh(_CUBE_CORNERS, np.concatenate([_CUBE_QUADS[:, [0, 1, 2]], _CUBE_QUADS[:, [0, 2, 3]]]))
+
+
+def load_mesh(path: Path, *, face_normals: bool = False) -> Mesh:
+    """Read a mesh from a file that trimesh knows (OBJ, PLY).
+
+    Parameters
+    ----------
+    path : Path
+    face_normals : bool
+        Shade flat even where the file has vertex normals.
+
+    Raises
+    ------
+    InputError
+        The file is missing, not a mesh, or has no triangles.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such mesh file")
+    try:
+        loaded = trimesh.load_mesh(path, process=False, maintain_order=True)
+    except Exception as error:  # trimesh's readers raise whatever the bytes make them stumble over
+        raise InputError(f"{path}: cannot be read as a mesh: {' '.join(str(error).split())}") from None
+    if isinstance(loaded, trimesh.Scene):
+        loaded = loaded.to_mesh()
+    faces = np.asarray(getattr(loaded, "faces", ()), np.int64)
+    if faces.ndim != 2 or len(faces) == 0:
+        raise InputError(f"{path}: has no triangles; a mesh with at least one is needed")
+    vertices = np.asarray(loaded.vertices, np.float64)
+    if not np.all(np.isfinite(vertices)):
+        raise InputError(f"{path}: has vertices that are not finite")
+    # Normals the file states are in the cache; asking for vertex_normals would make some up.
+    has_normals = not face_normals and "vertex_normals" in loaded._cache
+    return Mesh(vertices, faces, np.asarray(loaded.vertex_normals, np.float64) if has_normals else None)
+
+
+def transformed(mesh: Mesh, to_world: Array, *, flip: bool = False) -> Mesh:
+    """The mesh in world space; normals stay outside under mirroring, and turn inside if `flip`.
+
+    Raises
+    ------
+    InputError
+        The transform flattens the mesh or is not finite.
+    """
+    linear = to_world[:3, :3]
+    determinant = np.linalg.det(linear)
+    if not np.isfinite(determinant) or determinant == 0 or not np.allclose(to_world[3], [0, 0, 0, 1]):
+        raise InputError("to_world is not an invertible affine transform")
+    vertices = mesh.vertices @ linear.T + to_world[:3, 3]
+    inside_out = (determinant < 0) != flip
+    faces = mesh.faces[:, ::-1] if inside_out else mesh.faces
+    normals = mesh.normals
+    if normals is not None:
+        normals = normals @ np.linalg.inv(linear)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        normals = -normals if flip else normals
+    return Mesh(vertices, faces, normals, mesh.material, mesh.emission)
