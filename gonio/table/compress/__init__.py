@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.files import atomic
 from gonio.formats import hdf5
 from gonio.table.compress import dct
 from gonio.table.compress.metric import cosine_weights, row_errors, row_noise
@@ -111,14 +112,15 @@ def compress(
         "cells_had_std_error": table.std_error is not None,
     }
     slim = table.replace(std_error=None, hits=None, provenance={**table.provenance, "compression": facts})
-    hdf5.write(slim, path, content)
-    decoded = hdf5.read(path)
-    errors = row_errors(table, decoded.values)
-    if np.any(errors > bound * (1 + 1e-9)):
-        path.unlink()
-        raise RuntimeError(
-            f"{path}: {method} exceeds its bound by {np.max(errors / bound):.3g} when read back"
-        )
+    with atomic(path) as temporary:
+        hdf5.write(slim, temporary, content)
+        decoded = hdf5.read(temporary)
+        errors = row_errors(table, decoded.values)
+        if np.any(errors > bound * (1 + 1e-9)):
+            excess = float(np.max(errors / bound))
+            raise RuntimeError(
+                f"{path}: {method} exceeds its bound by a factor of {excess:.3g} when read back"
+            )
     areas = table.projected_solid_angles
     size = path.stat().st_size
     return CompressionReport(
