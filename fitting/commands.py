@@ -6,7 +6,12 @@ from pathlib import Path
 
 import click
 
+from fitting.fit import fit
+from fitting.models import find_model
+from fitting.result import Fit
+from fitting.tabulate import tabulate
 from gonio.progress import progress_bar
+from gonio.table.table import Table
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
@@ -21,11 +26,6 @@ def fit_command(table: Path, model: str, output: Path | None, as_json: bool) -> 
 
     Angles above 80 degrees are left out.
     """
-    # compiled kernels load with these; `gonio --help` does without
-    from fitting.fit import fit
-    from fitting.models import find_model
-    from gonio.table.table import Table
-
     find_model(model)  # before a long load
     with progress_bar("fit") as progress:
         result = fit(Table.load(table), model, progress=progress)
@@ -63,12 +63,9 @@ def tabulate_command(fit_file: Path, output: Path) -> None:
     The least a file must hold: {"model": "lambert", "lobes": [{"name": "lambert", "coefficients":
     {"albedo": {"R": 0.5}}}]}.
     """
-    from fitting.result import Fit
-    from fitting.tabulate import tabulate
-
-    fit = Fit.load(fit_file)
+    model = Fit.load(fit_file)
     with progress_bar("tabulate") as progress:
-        table = tabulate(fit, progress=progress)
+        table = tabulate(model, progress=progress)
     for loss in table.save(output):
         click.echo(f"{output}: {loss}", err=True)
 

@@ -133,11 +133,12 @@ class Fit:
 
     def to_json(self) -> dict[str, Any]:
         """The content of the file, as plain JSON types."""
-        return {"schema": SCHEMA, **dataclasses.asdict(self)}
+        return json.loads(self.dumps())
 
     def dumps(self, indent: int | None = None) -> str:
         """The content of the file, as text."""
-        return json.dumps(self.to_json(), indent=indent, allow_nan=False, default=_plain)
+        content = {"schema": SCHEMA, **dataclasses.asdict(self)}
+        return json.dumps(content, indent=indent, allow_nan=False, default=_plain)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the JSON file; nothing half-written ever stands under its name.

@@ -64,7 +64,7 @@ class Objective:
     def solve(self, x: Array) -> tuple[Array, float]:
         """Best coefficients, shape (J, C), and the sum of squares at `x`."""
         grid = self.samples.grid
-        equations = normal_equations(
+        parts = normal_equations(
             self.kinds,
             self.shapes(x),
             grid.rows,
@@ -76,7 +76,7 @@ class Objective:
             self.samples.values,
             self.weights,
         )
-        return self.coefficients.solve(equations, self.squares)
+        return self.coefficients.solve(parts.sum(axis=0), self.squares)
 
     def values(self, x: Array, coefficients: Array, levels: int | NDArray[np.int8] | None = None) -> Array:
         """The model's cell averages, shape (N, C)."""
