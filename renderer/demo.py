@@ -176,9 +176,9 @@ class Demo:
         return differences
 
     def _report(self, case: _Case, table: Table, fitted: Fit, sections: list, overlays: dict[str, Table]) -> None:
-        fits = {case.model: fitted}
-        write_report(table, self.folder / f"{case.name}_report.html", fits, sections, title=case.specimen.name)
-        overlays = {**overlays, case.model: fitted.table(table)}
+        report = self.folder / f"{case.name}_report.html"
+        overlays = {**overlays, case.model: plots.overlay(fitted)}
+        write_report(table, report, {case.model: fitted}, sections, case.specimen.name, overlays)
         for name, figure in (
             ("lobes", plots.lobes(table, overlays)),
             ("albedo", plots.albedo(table, overlays)),

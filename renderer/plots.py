@@ -8,17 +8,35 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fitting.result import Fit
 from gonio.table.table import Table
 
 Array = NDArray[np.float64]
 
 _COLOURS = {"R": "#c8322b", "G": "#3a8f3a", "B": "#2b5fc8"}
 _STYLES = ("--", ":", "-.")
-_PLANE_DEG = 3.0  # azimuth that counts as in the plane of incidence, to either side
+_PLANE_DEG = 5.0  # azimuth that counts as in the plane of incidence, to either side
+_STEP_DEG = 3.0
+
+
+def overlay(fit: Fit) -> Table:
+    """A fit as a table of 3-degree cells: enough for a line in a plot, and quickly made."""
+    polar, azimuth = np.linspace(0, np.pi / 2, 31), np.linspace(0, np.pi, 61)
+    channels = len(fit.channels)
+    grid = Table(
+        values=np.zeros((30, 30, 60, channels)),
+        theta_i=0.5 * (polar[1:] + polar[:-1]),
+        theta_i_edges=polar,
+        theta_r_edges=polar,
+        delta_phi_edges=azimuth,
+        channels=fit.channels,
+        albedo=np.zeros((30, channels)),
+    )
+    return fit.table(grid)
 
 
 def plane_of_incidence(table: Table, row: int) -> tuple[Array, Array, Array]:
-    """BRDF in the plane of incidence, averaged over the cells within 3 degrees of it.
+    """BRDF in the plane of incidence: means over the cells within 5 degrees of it, in steps of 3 degrees.
 
     Parameters
     ----------
@@ -28,25 +46,40 @@ def plane_of_incidence(table: Table, row: int) -> tuple[Array, Array, Array]:
 
     Returns
     -------
-    theta_r : ndarray, shape (2 R,)
+    theta_r : ndarray, shape (2 N,)
         Radians; negative on the light's side (delta phi = 0), positive on the mirror side.
-    mean, std_error : ndarray, shape (2 R, C)
-        In 1/sr; the error is NaN where the table has none.
+    mean, std_error : ndarray, shape (2 N, C)
+        In 1/sr, weighted by projected solid angle. The error is NaN where the table has none, and the
+        bound of its empty cells where all cells of a mean are empty.
     """
-    phi = table.delta_phi
-    near = np.radians(_PLANE_DEG)
-    sides = (np.flatnonzero(phi <= max(near, phi[0])), np.flatnonzero(np.pi - phi <= max(near, np.pi - phi[-1])))
+    near, step = np.radians(_PLANE_DEG), np.radians(_STEP_DEG)
+    phi, areas = table.delta_phi, table.projected_solid_angles
+    starts = np.unique(np.searchsorted(table.theta_r, np.arange(0.0, np.pi / 2, step)))
+    starts = starts[starts < len(table.theta_r)]
+    theta = np.add.reduceat(table.theta_r, starts) / np.diff([*starts, len(table.theta_r)])
     means, errors = [], []
-    for sectors in sides:
-        weight = np.diff(table.delta_phi_edges)[sectors]
-        weight = weight / weight.sum()
-        means.append(np.einsum("rpc,p->rc", table.values[row][:, sectors], weight))
-        if table.std_error is None:
-            errors.append(np.full_like(means[-1], np.nan))
-        else:
-            errors.append(np.sqrt(np.einsum("rpc,p->rc", table.std_error[row][:, sectors] ** 2, weight**2)))
-    theta = np.concatenate([-table.theta_r[::-1], table.theta_r])
-    return theta, np.concatenate([means[0][::-1], means[1]]), np.concatenate([errors[0][::-1], errors[1]])
+    for angle in (phi, np.pi - phi):
+        sectors = np.flatnonzero(angle <= max(near, angle.min()))
+        weight = areas[:, sectors]
+        total = np.add.reduceat(weight.sum(axis=1), starts)[:, None]
+        means.append(
+            np.add.reduceat(np.einsum("rpc,rp->rc", table.values[row][:, sectors], weight), starts) / total
+        )
+        errors.append(_merged_error(table, row, sectors, starts, weight, total))
+    theta = np.concatenate([-theta[::-1], theta])
+    return theta, *(np.concatenate([side[0][::-1], side[1]]) for side in (means, errors))  # type: ignore[return-value]
+
+
+def _merged_error(table: Table, row: int, sectors: NDArray, starts: NDArray, weight: Array, total: Array) -> Array:
+    """Standard error of means over blocks of cells, shape (N, C)."""
+    if table.std_error is None:
+        return np.full((len(starts), len(table.channels)), np.nan)
+    error = table.std_error[row][:, sectors] * weight[:, :, None]
+    lit = table.values[row][:, sectors] > 0
+    variance = np.add.reduceat(np.where(lit, error**2, 0.0).sum(axis=1), starts)
+    # an empty cell's error is a bound of three paths in it; a block of empty cells has the same three paths
+    bound = np.add.reduceat(error.max(axis=1), starts)
+    return np.where(variance > 0, np.sqrt(variance), bound) / total
 
 
 def lobes(table: Table, overlays: Mapping[str, Table] | None = None, angles_deg: Sequence[float] = (10, 45, 75)) -> Figure:
@@ -67,7 +100,7 @@ def lobes(table: Table, overlays: Mapping[str, Table] | None = None, angles_deg:
         theta, mean, error = plane_of_incidence(table, row)
         for channel, name in enumerate(table.channels):
             colour = _colour(name, channel)
-            panel.plot(np.degrees(theta), mean[:, channel], ".", ms=2.5, color=colour, label=name)
+            panel.plot(np.degrees(theta), mean[:, channel], ".", ms=4, color=colour, label=name)
             low = np.maximum(mean[:, channel] - error[:, channel], 0)
             high = mean[:, channel] + error[:, channel]
             panel.fill_between(np.degrees(theta), low, high, color=colour, alpha=0.25, lw=0)
@@ -83,7 +116,7 @@ def lobes(table: Table, overlays: Mapping[str, Table] | None = None, angles_deg:
         panel.set_title(f"theta_i = {np.degrees(table.theta_i[row]):.1f}°", fontsize=10)
         panel.set_xlabel("theta_r (degrees); mirror side positive")
         panel.set_xlim(-90, 90)
-        panel.set_ylim(bottom=0, top=1.15 * max(np.percentile(mean, 99.5), 1e-12))
+        panel.set_ylim(bottom=0, top=1.1 * max(np.percentile(mean, 99), 1e-12))
     panels[0].set_ylabel("f_r (1/sr)")
     panels[0].legend(fontsize=8, frameon=False)
     return figure
@@ -135,6 +168,7 @@ def hemisphere(table: Table, theta_i_deg: float = 45.0) -> Figure:
         )
         panel.set_title(title, fontsize=10)
         panel.set_yticklabels([])
+        panel.tick_params(pad=10)
         panel.set_xticks(np.radians([0, 90, 180, 270]), ["light", "90°", "mirror", "90°"])
         panel.grid(alpha=0.2)
         figure.colorbar(mesh, ax=panel, shrink=0.75)

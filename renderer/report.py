@@ -31,7 +31,7 @@ Section = tuple[str, str]
 
 def write_report(
     table: Table, path: str | os.PathLike[str], fits: Mapping[str, Fit] | None = None,
-    extra: Sequence[Section] = (), title: str = "",
+    extra: Sequence[Section] = (), title: str = "", overlays: Mapping[str, Table] | None = None,
 ) -> None:  # fmt: skip
     """Write the report of a table and of fits to it.
 
@@ -46,6 +46,8 @@ def write_report(
         More sections: heading and HTML, shown first.
     title : str, optional
         Default: the specimen's name.
+    overlays : mapping of str to Table, optional
+        What the plots show beside the table; default: the fits as tables.
 
     Raises
     ------
@@ -54,7 +56,8 @@ def write_report(
     """
     fits = fits or {}
     name = title or str(table.provenance.get("name", "BRDF table"))
-    overlays = {label: fit.table(table) for label, fit in fits.items()}
+    if overlays is None:
+        overlays = {label: plots.overlay(fit) for label, fit in fits.items()}
     sections = [
         *extra,
         ("Measurement", _measurement(table)),

@@ -32,7 +32,7 @@ DIFFUSE = Lobe(
 )
 
 
-@kernel
+@kernel(allocates=False)
 def terms(p, wi, wo):
     """(n + 1)/(8 pi) cos_h^n / (wi.wh max(cos_i, cos_o)), times the F0 and the F90 part, 1/sr."""
     if wi[2] <= 0.0 or wo[2] <= 0.0:
@@ -47,7 +47,7 @@ def terms(p, wi, wo):
     return value * (1.0 - s), value * s
 
 
-@kernel
+@kernel(allocates=False)
 def diffuse_terms(p, wi, wo):
     """28/(23 pi) (1 - (1 - cos_i/2)^5) (1 - (1 - cos_o/2)^5), 1/sr."""
     if wi[2] <= 0.0 or wo[2] <= 0.0:
@@ -57,7 +57,7 @@ def diffuse_terms(p, wi, wo):
     return 28.0 / (23.0 * math.pi) * (1.0 - grazing_i) * (1.0 - grazing_o), 0.0
 
 
-@kernel
+@kernel(allocates=False)
 def sample(p, wi, u0, u1):
     """Reflection off a half vector of density (n + 1)/(2 pi) cos^n (eq. 6); may point below the horizon."""
     n = p[SHAPE]
@@ -71,7 +71,7 @@ def sample(p, wi, u0, u1):
     return d * x - wi[0], d * y - wi[1], d * z - wi[2]
 
 
-@kernel
+@kernel(allocates=False)
 def pdf(p, wi, wo):
     """Density of `sample`, 1/sr.
 
@@ -84,7 +84,7 @@ def pdf(p, wi, wo):
     return (p[SHAPE] + 1.0) / (8.0 * math.pi) * _power(wh, p[SHAPE]) / c
 
 
-@kernel
+@kernel(allocates=False)
 def _power(wh, n):
     """|cos_h|^n, from the sine: at n = 1e6 a rounded cosine would cost ten digits."""
     sin2 = wh[0] * wh[0] + wh[1] * wh[1]

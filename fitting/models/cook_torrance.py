@@ -60,7 +60,7 @@ V_CAVITY = Lobe(
 )
 
 
-@kernel
+@kernel(allocates=False)
 def beckmann_terms(p, wi, wo):
     """Beckmann with exact height-correlated Smith: the F0 and the F90 term, 1/sr."""
     if wi[2] <= 0.0 or wo[2] <= 0.0:
@@ -75,7 +75,7 @@ def beckmann_terms(p, wi, wo):
     return value * (1.0 - s), value * s
 
 
-@kernel
+@kernel(allocates=False)
 def ggx_terms(p, wi, wo):
     """GGX with height-correlated Smith: the F0 and the F90 term, 1/sr."""
     if wi[2] <= 0.0 or wo[2] <= 0.0:
@@ -88,7 +88,7 @@ def ggx_terms(p, wi, wo):
     return value * (1.0 - s), value * s
 
 
-@kernel
+@kernel(allocates=False)
 def v_cavity_terms(p, wi, wo):
     """Beckmann with G = min(1, 2 cos_h cos_i/wi.wh, 2 cos_h cos_o/wi.wh): the F0 and the F90 term, 1/sr."""
     if wi[2] <= 0.0 or wo[2] <= 0.0:
@@ -105,7 +105,7 @@ def v_cavity_terms(p, wi, wo):
     return value * (1.0 - s), value * s
 
 
-@kernel
+@kernel(allocates=False)
 def sample(p, wi, u0, u1):
     """Reflection off a visible GGX normal of width alpha.
 
@@ -116,7 +116,7 @@ def sample(p, wi, u0, u1):
     return sample_visible_ggx(p[SHAPE], wi, u0, u1)
 
 
-@kernel
+@kernel(allocates=False)
 def pdf(p, wi, wo):
     """Density of `sample`, 1/sr."""
     return visible_ggx_pdf(p[SHAPE], wi, wo)

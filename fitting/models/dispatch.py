@@ -28,7 +28,7 @@ _as_terms, _as_diffuse_terms = ashikhmin_shirley.terms, ashikhmin_shirley.diffus
 _as_sample, _as_pdf = ashikhmin_shirley.sample, ashikhmin_shirley.pdf
 
 
-@kernel
+@kernel(allocates=False)
 def lobe_terms(kind, p, wi, wo):
     """The lobe's two terms, 1/sr, without the weights p[0] and p[1].
 
@@ -63,14 +63,14 @@ def lobe_terms(kind, p, wi, wo):
     return 0.0, 0.0
 
 
-@kernel
+@kernel(allocates=False)
 def lobe_eval(kind, p, wi, wo):
     """The lobe's f_r in 1/sr, without cosine: p[0] x its first term + p[1] x its second; as `lobe_terms`."""
     first, second = lobe_terms(kind, p, wi, wo)
     return p[0] * first + p[1] * second
 
 
-@kernel
+@kernel(allocates=False)
 def lobe_sample(kind, p, wi, u0, u1):
     """A direction `wo` for light from `wi`, from two uniform numbers in (0, 1).
 
@@ -84,7 +84,7 @@ def lobe_sample(kind, p, wi, u0, u1):
     return _cosine_sample(p, wi, u0, u1)
 
 
-@kernel
+@kernel(allocates=False)
 def lobe_pdf(kind, p, wi, wo):
     """Density of `lobe_sample` at `wo`, 1/sr.
 

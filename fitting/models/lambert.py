@@ -19,7 +19,7 @@ LOBE = Lobe(
 )
 
 
-@kernel
+@kernel(allocates=False)
 def terms(p, wi, wo):
     """1/pi; see `fitting.models.contract`."""
     if wi[2] <= 0.0 or wo[2] <= 0.0:
@@ -27,13 +27,13 @@ def terms(p, wi, wo):
     return _INV_PI, 0.0
 
 
-@kernel
+@kernel(allocates=False)
 def sample(p, wi, u0, u1):
     """Cosine-distributed, for any diffuse lobe."""
     return cosine_hemisphere(u0, u1)
 
 
-@kernel
+@kernel(allocates=False)
 def pdf(p, wi, wo):
     """Density of `sample`: cos(theta_o)/pi above the horizon."""
     return max(0.0, wo[2]) * _INV_PI

@@ -11,13 +11,13 @@ _INV_PI = 1.0 / math.pi
 _SQRT_PI = math.sqrt(math.pi)
 
 
-@kernel
+@kernel(allocates=False)
 def dot(a, b):
     """Scalar product of two directions."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@kernel
+@kernel(allocates=False)
 def schlick_weight(cos_i):
     """(1 - cos)^5, the share of F90 in Schlick's Fresnel term (Schlick 1994, eq. 15)."""
     x = min(1.0, max(0.0, 1.0 - cos_i))
@@ -25,7 +25,7 @@ def schlick_weight(cos_i):
     return x2 * x2 * x
 
 
-@kernel
+@kernel(allocates=False)
 def beckmann(alpha, wm):
     """Beckmann distribution, 1/sr: exp(-tan^2/alpha^2) / (pi alpha^2 cos^4) (Walter 2007, eq. 25)."""
     if wm[2] <= 0.0:
@@ -39,7 +39,7 @@ def beckmann(alpha, wm):
     return math.exp(-exponent) * _INV_PI / (a2 * cos2 * cos2)
 
 
-@kernel
+@kernel(allocates=False)
 def ggx(alpha, wm):
     """GGX (Trowbridge-Reitz) distribution, 1/sr (Walter 2007, eq. 33)."""
     if wm[2] <= 0.0:
@@ -49,7 +49,7 @@ def ggx(alpha, wm):
     return a2 * _INV_PI / (k * k)
 
 
-@kernel
+@kernel(allocates=False)
 def beckmann_lambda(alpha, w):
     """Smith's Lambda of Beckmann facets, exact (Heitz 2014, table 1; not Walter's rational fit).
 
@@ -66,14 +66,14 @@ def beckmann_lambda(alpha, w):
     return 0.5 * (math.exp(-a * a) / (a * _SQRT_PI) - math.erfc(a))
 
 
-@kernel
+@kernel(allocates=False)
 def ggx_root(alpha, cos_theta):
     """sqrt(cos^2 + alpha^2 sin^2), in which GGX's Lambda is (root/cos - 1)/2 (Heitz 2014, eq. 72)."""
     cos2 = cos_theta * cos_theta
     return math.sqrt(cos2 + alpha * alpha * (1.0 - cos2))
 
 
-@kernel
+@kernel(allocates=False)
 def sample_visible_ggx(alpha, wi, u0, u1):
     """Reflection of `wi` (above the horizon) off a visible GGX normal (Heitz 2018, JCGT 7(4), listing 1).
 
@@ -109,7 +109,7 @@ def sample_visible_ggx(alpha, wi, u0, u1):
     return d * wm[0] - wi[0], d * wm[1] - wi[1], d * wm[2] - wi[2]
 
 
-@kernel
+@kernel(allocates=False)
 def visible_ggx_pdf(alpha, wi, wo):
     """Density of `sample_visible_ggx`, 1/sr: D G1(wi) / (4 cos_i), written without a division by cos_i."""
     if wi[2] <= 0.0:

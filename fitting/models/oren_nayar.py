@@ -33,7 +33,7 @@ LOBE = Lobe(
 )
 
 
-@kernel
+@kernel(allocates=False)
 def terms(p, wi, wo):
     """L1 and L2, in 1/sr; see `fitting.models.contract`."""
     if wi[2] <= 0.0 or wo[2] <= 0.0:

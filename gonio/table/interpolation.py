@@ -49,7 +49,7 @@ from gonio.table.pool import (
 _PER_RADIAN = N_BUCKETS / math.pi
 
 
-@kernel
+@kernel(allocates=False)
 def _locate(axes, first, buckets, bucket, x, position):
     """Node at or below `x`, and how far `x` is to the next as a fraction; `position` is x in buckets."""
     b = min(max(int(position), 0), N_BUCKETS - 1)
@@ -65,7 +65,7 @@ def _locate(axes, first, buckets, bucket, x, position):
     return low, min(1.0, max(0.0, (x - left) / (axes[first + low + 1] - left)))
 
 
-@kernel
+@kernel(allocates=False)
 def _locate_row(pool, t, v):
     """Rows a, b that enclose v = sin^2 theta_i and the weight of b."""
     n = pool.header[t, N_ROWS]
@@ -75,7 +75,7 @@ def _locate_row(pool, t, v):
     return a, a + 1, w
 
 
-@kernel
+@kernel(allocates=False)
 def _locate_point(pool, t, u, phi):
     """Node and fraction in u, node and fraction in phi."""
     axis = pool.header[t, AXES] + pool.header[t, N_ROWS]
@@ -87,7 +87,7 @@ def _locate_point(pool, t, u, phi):
     return k, x, j, y
 
 
-@kernel
+@kernel(allocates=False)
 def _coordinates(wi, wo):
     """The coordinates v = sin^2 theta_i, u = sin^2 theta_r delta phi; on the normal the azimuth is +x's."""
     v = wi[0] * wi[0] + wi[1] * wi[1]
@@ -102,7 +102,7 @@ def _coordinates(wi, wo):
     return min(1.0, v), min(1.0, u), math.acos(min(1.0, max(-1.0, cosine)))
 
 
-@kernel
+@kernel(allocates=False)
 def eval_table(pool, t, wi, wo, out):
     """BRDF of table `t`, without its delta term.
 
@@ -143,7 +143,7 @@ def eval_table(pool, t, wi, wo, out):
         out[c] = (1.0 - w) * pool.rows[factor_a + c] * f_a + w * pool.rows[factor_b + c] * f_b
 
 
-@kernel
+@kernel(allocates=False)
 def _mean(pool, t, a, b, w, k, x, j, y):
     """Channel mean fbar at a located point."""
     n_u = pool.header[t, N_U]
@@ -161,13 +161,13 @@ def _mean(pool, t, a, b, w, k, x, j, y):
     return (1.0 - w) * f_a + w * f_b
 
 
-@kernel
+@kernel(allocates=False)
 def _row_mean(pool, t, row):
     """Abar of one row: the channel mean's reflectance without delta term."""
     return pool.rows[pool.header[t, ROWS] + row * (1 + 3 * pool.header[t, N_CHANNELS])]
 
 
-@kernel
+@kernel(allocates=False)
 def pdf_table(pool, t, wi, wo):
     """Density per solid angle with which `sample_table` draws `wo`: fbar cos(theta_o) / Abar.
 
@@ -184,7 +184,7 @@ def pdf_table(pool, t, wi, wo):
     return _mean(pool, t, a, b, w, k, x, j, y) * wo[2] / total
 
 
-@kernel
+@kernel(allocates=False)
 def _invert(p, q, s):
     """Where on a unit segment of linear density from p to q the mass s is reached (equation 4)."""
     root = p + math.sqrt(max(0.0, p * p + 2.0 * (q - p) * s))
@@ -193,7 +193,7 @@ def _invert(p, q, s):
     return min(1.0, max(0.0, 2.0 * s / root))
 
 
-@kernel
+@kernel(allocates=False)
 def _sample_u(pool, t, row, uniform):
     """Ring k and fraction x of a u drawn from the row's marginal."""
     n_u = pool.header[t, N_U]
@@ -213,7 +213,7 @@ def _sample_u(pool, t, row, uniform):
     return low, _invert(pool.marginal[at], pool.marginal[at + 2], s)
 
 
-@kernel
+@kernel(allocates=False)
 def _sample_phi(pool, t, row, k, x, uniform):
     """Sector j and fraction y of a phi drawn from the row's conditional at ring k, fraction x."""
     n_phi = pool.header[t, N_PHI]
@@ -239,7 +239,7 @@ def _sample_phi(pool, t, row, k, x, uniform):
     return low, _invert(p, q, (target - below) / (pool.axes[axis + low + 1] - pool.axes[axis + low]))
 
 
-@kernel
+@kernel(allocates=False)
 def sample_table(pool, t, wi, u0, u1, u2):
     """Draw `wo` in proportion to the channel mean of f cos(theta_o), without the delta term.
 
@@ -289,7 +289,7 @@ def sample_table(pool, t, wi, u0, u1, u2):
     return wo, _mean(pool, t, a, b, w, k, x, j, y) * cos_o / total
 
 
-@kernel
+@kernel(allocates=False)
 def _row_quantity(pool, t, cos_i, column, out):
     n = pool.header[t, N_CHANNELS]
     a, b, w = _locate_row(pool, t, 1.0 - cos_i * cos_i)
@@ -300,7 +300,7 @@ def _row_quantity(pool, t, cos_i, column, out):
         out[c] = (1.0 - w) * at_a + w * at_b if cos_i >= 0.0 else 0.0
 
 
-@kernel
+@kernel(allocates=False)
 def albedo_table(pool, t, cos_i, out):
     """Directional-hemispherical reflectance without the delta term: what `eval_table` integrates to.
 
@@ -317,27 +317,27 @@ def albedo_table(pool, t, cos_i, out):
     _row_quantity(pool, t, cos_i, 1, out)
 
 
-@kernel
+@kernel(allocates=False)
 def specular_table(pool, t, cos_i, out):
     """Reflectance into exactly the mirror direction (the delta term); arguments as `albedo_table`."""
     _row_quantity(pool, t, cos_i, 2, out)
 
 
-@kernel
+@kernel(allocates=False)
 def eval_many(pool, t, wi, wo, out):
     """`eval_table` for arrays of directions, shape (N, 3), into `out`, shape (N, C)."""
     for n in range(len(wi)):
         eval_table(pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), (wo[n, 0], wo[n, 1], wo[n, 2]), out[n])
 
 
-@kernel
+@kernel(allocates=False)
 def pdf_many(pool, t, wi, wo, out):
     """`pdf_table` for arrays of directions, shape (N, 3), into `out`, shape (N,)."""
     for n in range(len(wi)):
         out[n] = pdf_table(pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), (wo[n, 0], wo[n, 1], wo[n, 2]))
 
 
-@kernel
+@kernel(allocates=False)
 def sample_many(pool, t, wi, uniforms, wo, pdf):
     """`sample_table` for arrays, `wi` and `uniforms` of shape (N, 3), into `wo` (N, 3) and `pdf` (N,)."""
     for n in range(len(wi)):
@@ -348,7 +348,7 @@ def sample_many(pool, t, wi, uniforms, wo, pdf):
         pdf[n] = density
 
 
-@kernel
+@kernel(allocates=False)
 def row_quantities_many(pool, t, cos_i, albedo, specular):
     """`albedo_table` and `specular_table` for cosines of shape (N,), into arrays of shape (N, C)."""
     for n in range(len(cos_i)):

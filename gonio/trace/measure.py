@@ -15,6 +15,7 @@ from gonio.core.directions import projected_solid_angles
 from gonio.core.jit import set_threads
 from gonio.core.lookup import axis
 from gonio.progress import Report
+from gonio.table.checks import relative_noise
 from gonio.table.table import Table
 from gonio.trace.analog import trace_batch
 from gonio.trace.errors import TraceError
@@ -137,7 +138,7 @@ class Measurement:
         hits = self.tally.hits.reshape(shape)
         values = values.reshape(*shape, -1)
         std_error = std_error.reshape(*shape, -1)
-        return Table(
+        table = Table(
             values=values,
             std_error=std_error,
             hits=hits,
@@ -152,8 +153,11 @@ class Measurement:
             specular=specular,
             specular_std_error=specular_error,
             ledger=dict(self.tally.ledger),
-            provenance=self._provenance(relative_variance(values, std_error, omega)),
+            provenance=self._provenance(),
         )
+        variance = float(np.median(relative_noise(table))) ** 2
+        merit = 1.0 / (variance * self.seconds) if variance > 0 else None
+        return table.replace(provenance={**table.provenance, "figure_of_merit": merit})
 
     def _scene(self, batch: int) -> TraceScene:
         if not self.specimen.surface.is_random:
@@ -179,12 +183,11 @@ class Measurement:
                 '(tiling = "mirror"), or turn its faces over'
             )
 
-    def _provenance(self, variance: float) -> dict[str, Any]:
+    def _provenance(self) -> dict[str, Any]:
         paths = self.tally.ledger["paths"]
         statistics = {
             name: float(np.mean([asdict(s)[name] for s in self._statistics])) for name in asdict(self._statistics[0])
         }
-        figure_of_merit = 1.0 / (variance * self.seconds) if variance > 0 and self.seconds > 0 else None
         return {
             "name": self.specimen.name,
             "specimen": self.specimen.text,
@@ -197,7 +200,6 @@ class Measurement:
             "rays": self.tally.rays,
             "seconds": self.seconds,
             "paths_per_second": paths / self.seconds,
-            "figure_of_merit": figure_of_merit,
             "surface": statistics,
             "versions": {name: importlib.metadata.version(name) for name in ("gonio", "embreex", "numba", "numpy")},
         }
@@ -271,29 +273,6 @@ def run(measurement: Measurement, seconds: float | None, progress: Report | None
             progress(min(1.0, fraction), f"{rate:.1f} M paths/s, albedo to {tally.albedo_error():.1e}")
         if fraction >= 1.0:
             return
-
-
-def relative_variance(values: NDArray[np.float64], std_error: NDArray[np.float64], omega: NDArray[np.float64]) -> float:
-    """Median relative variance of the cells that hold 99 % of the energy, mean over channels.
-
-    Parameters
-    ----------
-    values, std_error : ndarray, shape (I, R, P, C)
-    omega : ndarray, shape (R, P)
-        Projected solid angles; the energy of a cell is its value times this.
-    """
-    mean = values.mean(axis=3)
-    error = std_error.mean(axis=3)
-    medians = []
-    for row, row_error in zip(mean, error, strict=True):
-        energy = (row * omega).ravel()
-        order = np.argsort(energy)[::-1]
-        total = energy.sum()
-        if total <= 0:
-            continue
-        held = order[: 1 + int(np.searchsorted(np.cumsum(energy[order]), 0.99 * total))]
-        medians.append(np.median((row_error.ravel()[held] / row.ravel()[held]) ** 2))
-    return float(np.median(medians)) if medians else 0.0
 
 
 def _realisation_seed(seed: int, batch: int) -> int:

@@ -1,7 +1,7 @@
 """Compression of tables with a bound on the error, checked after writing.
 
 The error of a row of incidence and channel is relative and cosine-weighted,
-E = ||(f' - f) cos(theta_r)|| / ||f cos(theta_r)||, norms over the row's cells in solid angle. Each row is
+E = ||f' - f|| / ||f||, norms over the row's cells in projected solid angle (cosine times solid angle). Each row is
 held to max(max_error, its own noise): to follow noise more closely than its error bar would store chance.
 
 A method is a module with ``encode(values, table, bound) -> content``, the content a mapping of arrays,

@@ -5,26 +5,27 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.core.directions import projected_solid_angles
 from gonio.table.table import Table
 
 Array = NDArray[np.float64]
 
 
 def cosine_weights(theta_r_edges: Array, delta_phi_edges: Array) -> Array:
-    """Root of cos^2(theta_r) x solid angle of each cell: the plain L2 norm of f times it is the metric's.
+    """Root of each cell's projected solid angle: the plain L2 norm of f times it is the metric's.
 
-    cos^2 is its exact mean over the cell: int cos^2 sin = (cos^3 theta_1 - cos^3 theta_2)/3.
+    In this measure the noise of counted paths is alike in all cells of equal brightness: their variance is
+    f / (N x projected solid angle).
 
     Returns
     -------
     ndarray, shape (R, P)
     """
-    cubes = -np.diff(np.cos(theta_r_edges) ** 3) / 3.0
-    return np.sqrt(np.outer(np.maximum(cubes, 0.0), np.diff(delta_phi_edges)))
+    return np.sqrt(projected_solid_angles(theta_r_edges, delta_phi_edges))
 
 
 def row_norms(values: Array, weights: Array) -> Array:
-    """Norm of f cos(theta_r) per row and channel, shape (I, C)."""
+    """Norm of f over projected solid angle, per row and channel, shape (I, C)."""
     return np.sqrt(np.einsum("irpc,rp->ic", values**2, weights**2))
 
 
