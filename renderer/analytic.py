@@ -1,4 +1,4 @@
-"""Fitted and hand-written models as materials: a sum of lobes, drawn from as a mixture with its exact density.
+"""Fitted and hand-written models as materials: sums of lobes, drawn from as a mixture of exact density.
 
 A lobe is chosen in proportion to its coefficients, the direction from it; the density is that of all
 lobes together. Lobes are drawn from for light that comes from the camera's side: they are reciprocal.

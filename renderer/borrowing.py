@@ -8,6 +8,8 @@ called from Python live until it returns, so their counts need not be kept insid
 
 from __future__ import annotations
 
+from typing import Any
+
 from gonio.core import jit
 
 if jit.disabled:
@@ -20,14 +22,15 @@ else:
     from numba import types
     from numba.extending import intrinsic
 
-    def _strip(context, builder, kind, value):
+    def _strip(context: Any, builder: Any, kind: Any, value: Any) -> Any:
         if isinstance(kind, types.Array):
             array = context.make_array(kind)(context, builder, value)
             array.meminfo = context.get_constant_null(types.MemInfoPointer(kind.dtype))
             array.parent = context.get_constant_null(types.pyobject)
             return array._getvalue()
         if isinstance(kind, types.BaseTuple):
-            items = [_strip(context, builder, k, builder.extract_value(value, i)) for i, k in enumerate(kind)]
+            parts = [builder.extract_value(value, i) for i in range(len(kind))]
+            items = [_strip(context, builder, k, part) for k, part in zip(kind, parts, strict=True)]
             return context.make_tuple(builder, kind, items)
         return value
 

@@ -19,7 +19,9 @@ from renderer.render import render
 
 @click.command("render")
 @click.argument("scene_path", metavar="SCENE.xml", type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="EXR; a PNG goes beside it.")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), help="EXR; a PNG goes beside it."
+)
 @click.option("--spp", type=int, help="Samples a pixel; the scene's sample_count by default.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Another seed, other noise.")
 @click.option("--threads", type=int, help="All cores by default; the picture does not depend on it.")

@@ -49,7 +49,9 @@ def pack_environment(environment: Description | None) -> Environment:
     if radiance.ndim != 3 or radiance.shape[2] != 3 or 0 in radiance.shape:
         raise InputError(f"environment: the map has shape {radiance.shape}; (height, width, 3) is needed")
     if not np.all(np.isfinite(radiance)) or radiance.min() < 0:
-        raise InputError("environment: the map has negative or non-finite pixels; radiance is finite and >= 0")
+        raise InputError(
+            "environment: the map has negative or non-finite pixels; radiance is finite and >= 0"
+        )
     if len(radiance) == 1:
         radiance = np.repeat(radiance, 2, axis=0)
     height, width = radiance.shape[:2]

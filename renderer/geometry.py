@@ -99,7 +99,11 @@ def surface(geometry, packet, lane, i_quadric):
     """
     ids = packet.view(np.int32)
     t = np.float64(packet[T_FAR, lane])
-    dx, dy, dz = np.float64(packet[DIR_X, lane]), np.float64(packet[DIR_Y, lane]), np.float64(packet[DIR_Z, lane])
+    dx, dy, dz = (
+        np.float64(packet[DIR_X, lane]),
+        np.float64(packet[DIR_Y, lane]),
+        np.float64(packet[DIR_Z, lane]),
+    )
     point = (packet[ORG_X, lane] + t * dx, packet[ORG_Y, lane] + t * dy, packet[ORG_Z, lane] + t * dz)
     mesh = np.int64(ids[GEOM_ID, lane])
     if mesh == MISS:

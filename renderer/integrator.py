@@ -1,4 +1,4 @@
-"""The path tracer: unidirectional, light and BRDF sampling combined by the power heuristic (Veach 1997, 9.2.4).
+"""The path tracer: light and BRDF sampling combined by the power heuristic (Veach 1997, 9.2.4).
 
 Paths go in packets of 16, one sample each of a block of 4 x 4 pixels. Random numbers are keyed by
 (seed, pixel) and counted by (sample, segment, use), and every pixel belongs to one block and takes its
@@ -80,8 +80,16 @@ def _aim(packet, lane, origin, direction, t_far):
 @kernel
 def _ray(packet, lane):
     """Origin and direction of a lane, as Embree sees them."""
-    origin = (np.float64(packet[ORG_X, lane]), np.float64(packet[ORG_Y, lane]), np.float64(packet[ORG_Z, lane]))
-    direction = (np.float64(packet[DIR_X, lane]), np.float64(packet[DIR_Y, lane]), np.float64(packet[DIR_Z, lane]))
+    origin = (
+        np.float64(packet[ORG_X, lane]),
+        np.float64(packet[ORG_Y, lane]),
+        np.float64(packet[ORG_Z, lane]),
+    )
+    direction = (
+        np.float64(packet[DIR_X, lane]),
+        np.float64(packet[DIR_Y, lane]),
+        np.float64(packet[DIR_Z, lane]),
+    )
     return origin, direction
 
 
@@ -96,7 +104,11 @@ def _camera_ray(view, x, y, u):
     if radius > 0.0:
         r, phi = radius * math.sqrt(u[2]), 2.0 * math.pi * u[3]
         s, t = r * math.cos(phi), r * math.sin(phi)
-        ox, oy, oz = ox + s * m[0, 0] + t * m[0, 1], oy + s * m[1, 0] + t * m[1, 1], oz + s * m[2, 0] + t * m[2, 1]
+        ox, oy, oz = (
+            ox + s * m[0, 0] + t * m[0, 1],
+            oy + s * m[1, 0] + t * m[1, 1],
+            oz + s * m[2, 0] + t * m[2, 1],
+        )
         a, b = a - s / focus, b - t / focus
     scale = 1.0 / math.sqrt(a * a + b * b + 1.0)
     a, b = a * scale, b * scale
@@ -115,7 +127,9 @@ def _trace(geometry, packet, quadrics, coherent):
         for lane in range(PACKET_WIDTH):
             if ids[VALID, lane]:
                 origin, direction = _ray(packet, lane)
-                t, quadrics[lane] = nearest_quadric(geometry, origin, direction, np.float64(packet[T_FAR, lane]))
+                t, quadrics[lane] = nearest_quadric(
+                    geometry, origin, direction, np.float64(packet[T_FAR, lane])
+                )
                 packet[T_FAR, lane] = t
     if len(geometry.first_face):
         intersect16(geometry.handle, packet, coherent)
@@ -186,7 +200,9 @@ def _light_up(world, shadows, pending, lane, state, hit, wo, u, memory):
     direction, reach, red, green, blue, density = sample_light(world.lights, point, u[0], u[1], u[2], u[3])
     if red + green + blue <= 0.0:
         return False
-    f_red, f_green, f_blue, other = evaluate(world.materials, material, _to_local(s, t, shading, direction), wo, memory)
+    f_red, f_green, f_blue, other = evaluate(
+        world.materials, material, _to_local(s, t, shading, direction), wo, memory
+    )
     weight = _heuristic(density, other, world.limits[2], 2)
     pending[lane, 0] = weight * f_red * red * state[lane, _RED]
     pending[lane, 1] = weight * f_green * green * state[lane, _GREEN]
@@ -297,7 +313,13 @@ def new_scratch() -> Scratch:
     lanes = PACKET_WIDTH
     integers = np.zeros((2, lanes), np.int64)
     return Scratch(
-        new_packet(), new_packet(), integers[0], integers[1], np.zeros((lanes, 7)), np.zeros((lanes, 3)), np.zeros(3)
+        new_packet(),
+        new_packet(),
+        integers[0],
+        integers[1],
+        np.zeros((lanes, 7)),
+        np.zeros((lanes, 3)),
+        np.zeros(3),
     )
 
 
@@ -345,7 +367,9 @@ def render_blocks(world, film, scratch, first, last, first_sample, last_sample, 
                 x, y = x0 + lane % BLOCK, y0 + lane // BLOCK
                 if x >= width or y >= height:
                     continue
-                if not math.isfinite(state[lane, _SUM_RED] + state[lane, _SUM_GREEN] + state[lane, _SUM_BLUE]):
+                if not math.isfinite(
+                    state[lane, _SUM_RED] + state[lane, _SUM_GREEN] + state[lane, _SUM_BLUE]
+                ):
                     n_dropped += 1
                     continue
                 for c in range(3):

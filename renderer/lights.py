@@ -29,7 +29,7 @@ class Lights(NamedTuple):
     vector: np.ndarray  # (L, 3): position or direction
     area: np.ndarray  # (L,) of an area light's primitives together
     first: np.ndarray  # int64 (L,), its first primitive
-    count: np.ndarray  # int64 (L,), how many
+    n_primitives: np.ndarray  # int64 (L,)
     primitive: np.ndarray  # int64 (P,)
     data: np.ndarray  # (P, 12): a corner and two edges and normal; or centre, radius, orientation
     threshold: np.ndarray  # float32 (P,), alias tables by area within each light
@@ -147,7 +147,7 @@ def sample_light(lights, origin, u0, u1, u2, u3):
         normal = (0.0, 0.0, 0.0)
     else:
         first = lights.first[light]
-        p = draw(lights.threshold, lights.other, first, lights.count[light], u1)
+        p = draw(lights.threshold, lights.other, first, lights.n_primitives[light], u1)
         if lights.primitive[p] == SPHERE:
             data = lights.data
             x, y, z = data[p, 0] - origin[0], data[p, 1] - origin[1], data[p, 2] - origin[2]

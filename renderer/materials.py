@@ -32,7 +32,7 @@ class Materials(NamedTuple):
     two_sided: np.ndarray  # int64 (M,)
     values: np.ndarray  # (M, 12), meaning by kind: see renderer.pack_materials
     first: np.ndarray  # int64 (M,), the table in the pool, or the first lobe
-    count: np.ndarray  # int64 (M,), lobes
+    n_lobes: np.ndarray  # int64 (M,), of an analytic model
     pool: Pool
     lobes: Lobes
 
@@ -63,8 +63,10 @@ def _plastic_diffuse(values, m, cos_i, cos_o):
     back = values[m, 7]
     red, green, blue = values[m, 1], values[m, 2], values[m, 3]
     if values[m, 8] != 0.0:  # nonlinear: every inner bounce takes its colour
-        return through * red / (1.0 - red * back), through * green / (1.0 - green * back), through * blue / (
-            1.0 - blue * back
+        return (
+            through * red / (1.0 - red * back),
+            through * green / (1.0 - green * back),
+            through * blue / (1.0 - blue * back),
         )
     through /= 1.0 - back
     return through * red, through * green, through * blue
@@ -114,7 +116,7 @@ def evaluate(materials, m, wi, wo, memory):
     if kind == TABULATED:
         return tabulated_evaluate(materials.pool, materials.first[m], wi, wo, memory)
     if kind == ANALYTIC:
-        return analytic_evaluate(materials.lobes, materials.first[m], materials.count[m], wi, wo)
+        return analytic_evaluate(materials.lobes, materials.first[m], materials.n_lobes[m], wi, wo)
     return 0.0, 0.0, 0.0, 0.0
 
 
@@ -159,7 +161,7 @@ def _sample_upper(materials, m, wo, u0, u1, u2, memory):
     if kind == TABULATED:
         return tabulated_sample(materials.pool, materials.first[m], wo, u0, u1, u2, memory)
     if kind == ANALYTIC:
-        return analytic_sample(materials.lobes, materials.first[m], materials.count[m], wo, u0, u1, u2)
+        return analytic_sample(materials.lobes, materials.first[m], materials.n_lobes[m], wo, u0, u1, u2)
     if kind == PLASTIC:
         chance = _plastic_mirror_chance(values, m, wo[2])
         if u0 < chance:

@@ -45,7 +45,7 @@ def _density(pool, t, wi, wo, mirror):
 
 @kernel
 def tabulated_evaluate(pool, t, wi, wo, values):
-    """As `renderer.materials.evaluate`, both directions above the horizon; `values` is working memory (3,)."""
+    """As `renderer.materials.evaluate`, directions above the horizon; `values` is working memory (3,)."""
     density = _density(pool, t, wi, wo, mirror_chance(pool, t, wo[2], values))
     eval_table(pool, t, wi, wo, values)
     red = values[0] * wi[2]
