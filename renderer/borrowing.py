@@ -30,7 +30,7 @@ else:
             return array._getvalue()
         if isinstance(kind, types.BaseTuple):
             parts = [builder.extract_value(value, i) for i in range(len(kind))]
-            items = [_strip(context, builder, k, part) for k, part in zip(kind, parts, strict=True)]
+            items = [_strip(context, builder, kind[i], part) for i, part in enumerate(parts)]
             return context.make_tuple(builder, kind, items)
         return value
 

@@ -52,7 +52,8 @@ def render_command(
     short = f" of {wanted}, interrupted" if facts["spp"] < wanted else ""
     click.echo(
         f"{output}: {scene.camera.width} x {scene.camera.height}, {facts['spp']} spp{short}, "
-        f"{facts['seconds']:.1f} s, {facts['paths_per_second'] / 1e6:.2f} M paths/s, noise {100 * image.noise:.2g} %"
+        f"{facts['seconds']:.1f} s, {facts['paths_per_second'] / 1e6:.2f} M paths/s, "
+        f"noise {100 * image.noise:.2g} %"
     )
 
 

@@ -155,7 +155,7 @@ def surface(geometry, packet, lane, i_quadric):
 
 @kernel
 def offset(geometry, shape, point, normal, direction, distance):
-    """Where a ray in `direction` starts so that it does not hit the surface it leaves, to float32's accuracy."""
+    """Where a ray in `direction` starts so that it does not, in float32, hit the surface it leaves."""
     reach = max(abs(point[0]), max(abs(point[1]), abs(point[2])))
     step = 1e-6 * (geometry.extent[shape] + reach + distance)
     if direction[0] * normal[0] + direction[1] * normal[1] + direction[2] * normal[2] < 0.0:

@@ -46,8 +46,8 @@ class Node:
         if "$" in text:
             known = ", ".join(sorted(self._parameters)) or "none"
             raise InputError(
-                f"{self.path}: parameter in {text!r} has no value (known: {known}); set it with -D name=value or "
-                '<default name="..." value="..."/>'
+                f"{self.path}: parameter in {text!r} has no value (known: {known}); "
+                'set it with -D name=value or <default name="..." value="..."/>'
             )
         return text
 

@@ -22,7 +22,7 @@ def ramps():
 
 def speckle():
     image = 0.1 + RNG.random((H, W, 3))
-    image[2, 5] = (40, 20, 10)
+    image[6, 5] = (40, 20, 10)
     image[0], image[-1] = image[0].mean(0), image[-1].mean(0)  # a pole is one direction
     return image
 
@@ -120,7 +120,7 @@ def test_all_ways_to_find_light_agree(material):
     results = [mean(scene, 20_000, seed=i, strategy=s) for i, s in enumerate(("mis", "material", "light"))]
     for value, error in results[1:]:
         assert_within(results[0][0], value, np.hypot(error, results[0][1]))
-    assert np.all(results[0][1] < 0.7 * results[1][1])  # and it pays
+    assert np.all(results[0][1] < 0.95 * results[1][1])  # and it pays
 
 
 def test_constant_environment_is_drawn_uniformly():

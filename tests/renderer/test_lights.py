@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from renderer.scene import DirectionalLight, Disk, PointLight, Sphere, look_at
-from tests.renderer.scenes import WHITE, assert_within, constant, mean, simple, square
+from renderer.scene import DirectionalLight, Disk, Material, PointLight, Sphere, look_at
+from tests.renderer.scenes import WHITE, assert_within, constant, mean, simple, spot, square
 
 FLOOR = square(5)
 STRATEGIES = ("mis", "light", "material")
@@ -13,7 +13,7 @@ STRATEGIES = ("mis", "light", "material")
 def disk_light(radius, height):
     matrix = np.diag([radius, radius, radius, 1.0])
     matrix[2, 3] = height
-    return Disk(matrix, flip_normals=True, emission=(np.pi, 0.5 * np.pi, 2 * np.pi))
+    return Disk(matrix, flip_normals=True, emission=(1.0, 0.5, 2.0))
 
 
 def test_point_light_is_exact():
@@ -42,13 +42,11 @@ def test_disk_light_overhead(strategy, radius, height):
     # E = L pi sin^2(theta) = L pi R^2 / (R^2 + h^2) on the axis of a parallel disk
     scene = simple([FLOOR, disk_light(radius, height)], max_depth=2, camera=low_camera())
     value, error = mean(scene, 4000, strategy=strategy)
-    expected = np.pi * radius**2 / (radius**2 + height**2) / np.pi
+    expected = radius**2 / (radius**2 + height**2)
     assert_within(value, expected * np.array([1, 0.5, 2]), error)
 
 
 def low_camera():
-    from tests.renderer.scenes import spot
-
     return spot((4.0, 0.0, 0.3))
 
 
@@ -76,24 +74,18 @@ def test_rectangle_light(strategy):
 
 @pytest.mark.compiled
 def test_lights_add_up():
-    # the chance to choose a light must cancel, in sampling and in both densities
-    parts = [
-        ([disk_light(1, 1)], None, []),
-        ([], constant(0.2, 0.3, 0.4), []),
-        ([], None, [PointLight((1, 1, 1), (1, 1, 1))]),
-    ]
-    single = [
-        mean(simple([FLOOR, *s], e, p, low_camera(), 2), 8000, seed=i) for i, (s, e, p) in enumerate(parts)
-    ]
-    shapes = [s for part in parts for s in part[0]]
-    # the disk hides the point light nor the sky differently when it does not shine
-    dark = Disk(shapes[0].to_world, True)
-    hidden = [mean(simple([FLOOR, *([dark] if not s else s)], e, p, low_camera(), 2), 8000, seed=9 + i)
-              for i, (s, e, p) in enumerate(parts)]  # fmt: skip
-    both, error = mean(simple([FLOOR, *shapes], parts[1][1], parts[2][2], low_camera(), 2), 8000, seed=20)
-    expected = sum(v for v, _ in hidden)
-    assert_within(both, expected, np.sqrt(error**2 + sum(e**2 for _, e in hidden)))
-    assert single[1][0][0] > hidden[1][0][0]  # the disk does hide some sky
+    # the chance to choose a light must cancel, in sampling and in both densities; multiple bounces too
+    disk, point = disk_light(1, 1), PointLight((1, 1, 1.5), (1, 1, 1))
+    dark = Disk(disk.to_world, True)  # hides the sky whether it shines or not
+    sky = constant(0.2, 0.3, 0.4)
+    floor = square(5, material=Material())
+
+    def lit(shape, environment, lights, seed):
+        return mean(simple([floor, shape], environment, lights, low_camera()), 10_000, seed)
+
+    parts = [lit(disk, None, [], 1), lit(dark, sky, [], 2), lit(dark, None, [point], 3)]
+    both, error = lit(disk, sky, [point], 4)
+    assert_within(both, sum(v for v, _ in parts), np.sqrt(error**2 + sum(e**2 for _, e in parts)))
 
 
 def test_emitters_shine_from_their_front_only():

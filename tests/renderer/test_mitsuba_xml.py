@@ -84,7 +84,8 @@ def test_mirroring_keeps_normals_outside(tmp_path):
 
 
 def test_materials_by_reference_nesting_and_name(tmp_path):
-    body = """<bsdf type="twosided" id="m"><bsdf type="conductor"><string name="material" value="Au"/></bsdf></bsdf>
+    body = """<bsdf type="twosided" id="m"><bsdf type="conductor">
+        <string name="material" value="Au"/></bsdf></bsdf>
       <shape type="sphere"><ref id="m"/></shape>
       <shape type="sphere"><bsdf type="diffuse"><rgb name="reflectance" value="0.1, 0.2 0.3"/></bsdf></shape>
       <shape type="sphere"><bsdf type="plastic"><string name="int_ior" value="water"/></bsdf></shape>
@@ -101,11 +102,13 @@ def test_materials_by_reference_nesting_and_name(tmp_path):
 
 def test_emitters(tmp_path):
     write_exr(tmp_path / "e.exr", {"RGB": np.ones((4, 8, 3))})
-    body = """<emitter type="envmap"><string name="filename" value="e.exr"/><float name="scale" value="2"/></emitter>
+    body = """<emitter type="envmap"><string name="filename" value="e.exr"/>
+        <float name="scale" value="2"/></emitter>
       <emitter type="point"><transform name="to_world"><translate x="1"/></transform>
         <rgb name="intensity" value="5"/></emitter>
-      <emitter type="directional"><vector name="direction" x="0" y="-1" z="0"/><rgb name="irradiance" value="1,2,3"/>
-      </emitter><shape type="sphere"><emitter type="area"><rgb name="radiance" value="7"/></emitter></shape>"""
+      <emitter type="directional"><vector name="direction" x="0" y="-1" z="0"/>
+        <rgb name="irradiance" value="1,2,3"/></emitter>
+      <shape type="sphere"><emitter type="area"><rgb name="radiance" value="7"/></emitter></shape>"""
     scene = load(tmp_path, body)
     assert scene.environment.scale == 2
     assert scene.lights[0].position == (1, 0, 0)
@@ -145,7 +148,7 @@ def test_tabulated_and_analytic(tmp_path):
         ("<shape type='ply'><string name='filename' value='no.ply'/></shape>", "no.ply: no such mesh"),
         (
             "<shape type='ply'><string name='filename' value='s.xml'/></shape>",
-            "s.xml: cannot be read as a mesh",
+            "s.xml: has no triangles",
         ),
         (
             "<bsdf type='diffuse' id='a'><texture type='bitmap' name='reflectance'/></bsdf>",
