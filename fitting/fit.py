@@ -10,7 +10,7 @@ from fitting.metrics import metrics, weights
 from fitting.models import SHAPE, find_model
 from fitting.result import Fit, FittedLobe, versions
 from fitting.samples import Samples
-from fitting.search import Budget, coarse, refined, search
+from fitting.search import Budget, coarse, polish, refined, search
 from fitting.tabulate import albedo_check
 from gonio.progress import Report
 from gonio.table.table import Table
@@ -29,8 +29,9 @@ def fit(
     """Find the parameters of a model that describe a table best.
 
     A global stage (nlopt's multi-level single linkage) searches the shape parameters on some thousand
-    cells; a local one (Subplex) ends it on all of them. For every shape the coefficients are the best
-    non-negative ones. A cell's value is compared with the model's average over the cell.
+    cells; a local one (sequential quadratic programming) ends it on all of them. For every shape the
+    coefficients are the best non-negative ones. A cell's value is compared with the model's average over
+    the cell.
 
     Parameters
     ----------
@@ -68,10 +69,10 @@ def fit(
     rough = coarse(chosen.lobes, samples, weight)
     x = np.random.default_rng(seed).random(len(rough.parameters))
     if len(x):
-        x = search(rough, x, budget, everywhere=True, seed=seed)
+        x = search(rough, x, budget, seed)
     final = refined(rough, x, samples, weight)
     if len(x):
-        x = search(final, x, budget, everywhere=False, seed=seed)
+        x = polish(final, x, budget)
     coefficients, _ = final.solve(x)
     budget.evaluations += 1
 

@@ -60,6 +60,12 @@ class Grid:
         levels = np.broadcast_to(np.asarray(levels, np.int8), len(cells)).copy()
         return cell_terms(kinds, shapes, self.rows, self.rings, self.sectors, cells, levels, self.exact_rows)
 
+    def near_mirror(self, cells: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Cells within two cells of the mirror direction, where lobes are narrowest, shape (N,)."""
+        i, r, s = cells.T
+        ring = np.searchsorted(self.rings[0, :, 0, 0], self.rows[0, i, 0, 0])
+        return (np.abs(r - ring) <= 2) & ((s >= self.sectors.shape[1] - 2) | (r <= 2))
+
 
 def _nodes(edges: Array, polar: bool) -> Array:
     """Gauss-Legendre nodes of every interval at every level; one node stands at the centroid."""

@@ -21,7 +21,8 @@ def _average_terms(kinds, shapes, rows, rings, sectors, cell, level, exact_rows,
     i, r, s = cell[0], cell[1], cell[2]
     nodes = 1 << level
     row_nodes = 1 if exact_rows else nodes
-    out[:] = 0.0
+    for k in range(len(out)):
+        out[k] = 0.0
     for a in range(row_nodes):
         wi = (rows[level, i, a, 0], 0.0, rows[level, i, a, 1])
         for b in range(nodes):
@@ -76,8 +77,8 @@ def normal_equations(kinds, shapes, rows, rings, sectors, cells, levels, exact_r
 
     Returns
     -------
-    ndarray, shape (C, 2 L, 2 L + 1)
-        Sums of w t_j t_k, lower triangle, and in the last column of w t_j y.
+    ndarray, shape (CHUNKS, C, 2 L, 2 L + 1)
+        Sums of w t_j t_k, lower triangle, and in the last column of w t_j y; to be summed over chunks.
     """
     n, channels = values.shape
     size = 2 * len(kinds)
@@ -95,10 +96,7 @@ def normal_equations(kinds, shapes, rows, rings, sectors, cells, levels, exact_r
                     for k in range(j + 1):
                         part[channel, j, k] += wt * terms[k]
                     part[channel, j, size] += wt * y
-    total = np.zeros((channels, size, size + 1))
-    for chunk in range(CHUNKS):
-        total += parts[chunk]
-    return total
+    return parts
 
 
 @kernel
@@ -135,62 +133,28 @@ def pooled_variance(variance, counts, usable, areas, least):
             own = counts[r, s] if usable[r, s] else 0.0
             sums[r + 1, s + 1] = sums[r, s + 1] + sums[r + 1, s] - sums[r, s] + own
     out = np.zeros((rings, sectors, channels))
-    stack = np.empty((rings * sectors + 1, 4), np.int64)
-    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0, rings, 0, sectors
-    height = 1
-    while height > 0:
-        height -= 1
-        r0, r1, s0, s1 = stack[height, 0], stack[height, 1], stack[height, 2], stack[height, 3]
-        split = False
-        for attempt in range(2):
-            along_rings = ((r1 - r0) * 2 >= s1 - s0) == (attempt == 0)  # sectors span twice the angle
-            if along_rings and r1 - r0 > 1:
-                middle = (r0 + r1) // 2
-                first = _block(sums, r0, middle, s0, s1)
-                if first >= least and _block(sums, r0, r1, s0, s1) - first >= least:
-                    stack[height, 0], stack[height, 1], stack[height, 2], stack[height, 3] = (
-                        r0,
-                        middle,
-                        s0,
-                        s1,
-                    )
-                    height += 1
-                    stack[height, 0], stack[height, 1], stack[height, 2], stack[height, 3] = (
-                        middle,
-                        r1,
-                        s0,
-                        s1,
-                    )
-                    height += 1
-                    split = True
-                    break
-            elif not along_rings and s1 - s0 > 1:
-                middle = (s0 + s1) // 2
-                first = _block(sums, r0, r1, s0, middle)
-                if first >= least and _block(sums, r0, r1, s0, s1) - first >= least:
-                    stack[height, 0], stack[height, 1], stack[height, 2], stack[height, 3] = (
-                        r0,
-                        r1,
-                        s0,
-                        middle,
-                    )
-                    height += 1
-                    stack[height, 0], stack[height, 1], stack[height, 2], stack[height, 3] = (
-                        r0,
-                        r1,
-                        middle,
-                        s1,
-                    )
-                    height += 1
-                    split = True
-                    break
-        if not split:
+    stack = [(0, rings, 0, sectors)]
+    while len(stack) > 0:
+        block = stack.pop()
+        r0, r1, s0, s1 = block
+        by_rings = (r0, (r0 + r1) // 2, s0, s1), ((r0 + r1) // 2, r1, s0, s1)
+        by_sectors = (r0, r1, s0, (s0 + s1) // 2), (r0, r1, (s0 + s1) // 2, s1)
+        tall = (r1 - r0) * 2 >= s1 - s0  # sectors span twice the angle
+        first, second = by_rings if tall else by_sectors
+        if min(_hits(sums, first), _hits(sums, second)) < least:
+            first, second = by_sectors if tall else by_rings
+        if min(_hits(sums, first), _hits(sums, second)) >= least:
+            stack.append(first)
+            stack.append(second)
+        else:
             _smooth_block(variance, counts, usable, areas, r0, r1, s0, s1, out)
     return out
 
 
 @kernel
-def _block(sums, r0, r1, s0, s1):
+def _hits(sums, block):
+    """Hits in a block, from the table of sums."""
+    r0, r1, s0, s1 = block
     return sums[r1, s1] - sums[r0, s1] - sums[r1, s0] + sums[r0, s0]
 
 

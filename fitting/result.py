@@ -133,7 +133,12 @@ class Fit:
 
     def to_json(self) -> dict[str, Any]:
         """The content of the file, as plain JSON types."""
-        return {"schema": SCHEMA, **dataclasses.asdict(self)}
+        return json.loads(self.dumps())
+
+    def dumps(self, indent: int | None = None) -> str:
+        """The content of the file, as text."""
+        content = {"schema": SCHEMA, **dataclasses.asdict(self)}
+        return json.dumps(content, indent=indent, allow_nan=False, default=_plain)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the JSON file; nothing half-written ever stands under its name.
@@ -143,7 +148,7 @@ class Fit:
         OSError
             The file cannot be written.
         """
-        text = json.dumps(self.to_json(), indent=2, allow_nan=False, default=_plain) + "\n"
+        text = self.dumps(indent=2) + "\n"
         with atomic(path) as temporary:
             Path(temporary).write_text(text, encoding="utf-8")
 

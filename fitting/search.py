@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import nlopt
@@ -19,8 +20,10 @@ Array = NDArray[np.float64]
 
 COARSE_CELLS = 6000
 _GLOBAL_EVALUATIONS = 120  # per shape parameter
-_LOCAL_EVALUATIONS = 80  # per shape parameter
-_POINTS = 3_000_000  # most quadrature points of the final stage
+_LOCAL_EVALUATIONS = 20  # points with their gradient, per shape parameter
+_NEGLIGIBLE = 1e-13  # gain of the objective, relative to the sum of squared values
+_STEP = 2e-4  # of central differences, in the search's variables
+_POINTS = 2_500_000  # most quadrature points of the final stage
 
 
 @dataclass(eq=False)
@@ -61,7 +64,7 @@ class Objective:
     def solve(self, x: Array) -> tuple[Array, float]:
         """Best coefficients, shape (J, C), and the sum of squares at `x`."""
         grid = self.samples.grid
-        equations = normal_equations(
+        parts = normal_equations(
             self.kinds,
             self.shapes(x),
             grid.rows,
@@ -73,7 +76,7 @@ class Objective:
             self.samples.values,
             self.weights,
         )
-        return self.coefficients.solve(equations, self.squares)
+        return self.coefficients.solve(parts.sum(axis=0), self.squares)
 
     def values(self, x: Array, coefficients: Array, levels: int | NDArray[np.int8] | None = None) -> Array:
         """The model's cell averages, shape (N, C)."""
@@ -88,7 +91,6 @@ def coarse(lobes: Sequence[Lobe], samples: Samples, weights: Array) -> Objective
     Systematic sampling, half by share and half evenly; deterministic.
     """
     n = len(samples.cells)
-    level = 0 if samples.grid.rows.shape[0] == 1 else 2
     if n > COARSE_CELLS:
         share = np.einsum("nc,nc,nc->n", weights, samples.values, samples.values)
         total = share.sum()
@@ -97,14 +99,17 @@ def coarse(lobes: Sequence[Lobe], samples: Samples, weights: Array) -> Objective
         picks = np.flatnonzero(np.diff(np.floor(np.concatenate([[0.5], 0.5 + np.cumsum(probability)]))))
         weights = weights[picks] / probability[picks, None]
         samples = _take(samples, picks)
-    return Objective(lobes, samples, weights, np.full(len(samples.cells), level, np.int8))
+    levels = np.zeros(len(samples.cells), np.int8)
+    if samples.grid.rows.shape[0] > 1:
+        levels[:] = np.where(samples.grid.near_mirror(samples.cells), 2, 1)
+    return Objective(lobes, samples, weights, levels)
 
 
 def refined(rough: Objective, x: Array, samples: Samples, weights: Array) -> Objective:
     """The objective on all cells, with as many quadrature nodes in each as the shape at `x` asks for.
 
     A cell goes to the next level where the two differ; the largest weighted differences come first, until
-    what is left is negligible or the points are used up.
+    what is left is negligible or half of the points still to be had are used.
     """
     objective = Objective(rough.lobes, samples, weights, np.zeros(len(samples.cells), np.int8))
     if samples.grid.rows.shape[0] == 1:
@@ -113,17 +118,21 @@ def refined(rough: Objective, x: Array, samples: Samples, weights: Array) -> Obj
     factors = rough.coefficients.factors(coefficients)
     shapes = objective.shapes(x)
     dimensions = 2 if samples.grid.exact_rows else 3
-    tolerance = 1e-11 * objective.norm
+    tolerance = 1e-10 * objective.norm
     chosen = np.arange(len(samples.cells))
     before = samples.terms(objective.kinds, shapes, 0) @ factors
     points = len(chosen)
     for level in (1, 2, 3):
+        each = 2 ** (dimensions * level)
+        affordable = (_POINTS - points) // (2 * each)
+        if level > 1:  # sorted: the rest could not be afforded
+            chosen, before = chosen[:affordable], before[:affordable]
+        if affordable <= 0:
+            break
         after = samples.grid.terms(objective.kinds, shapes, samples.cells[chosen], level) @ factors
         error = np.einsum("nc,nc->n", weights[chosen], (after - before) ** 2)
         order = np.argsort(error)[::-1]
         needed = int(np.count_nonzero(np.cumsum(error[order][::-1])[::-1] > tolerance))
-        each = 2 ** (dimensions * level)
-        affordable = max(0, (_POINTS - points) // each)
         take = order[: min(needed, affordable)]
         if len(take) == 0:
             break
@@ -133,57 +142,116 @@ def refined(rough: Objective, x: Array, samples: Samples, weights: Array) -> Obj
     return objective
 
 
-def search(objective: Objective, start: Array, budget: Budget, everywhere: bool, seed: int) -> Array:
-    """Minimise over [0, 1]^D: multi-start (MLSL) over the whole range, or a local simplex about `start`.
+def search(objective: Objective, start: Array, budget: Budget, seed: int) -> Array:
+    """Minimise over the whole range [0, 1]^D: nlopt's multi-level single linkage, Subplex in each start.
 
     Returns
     -------
     ndarray, shape (D,)
         The best point met, also where time ran out.
     """
-    dimensions = len(objective.parameters)
-    best = (np.inf, np.array(start, float))
-    most = (_GLOBAL_EVALUATIONS if everywhere else _LOCAL_EVALUATIONS) * dimensions
-    count = 0
+    watched = _Watched(objective, budget, _GLOBAL_EVALUATIONS, (0.0, 0.5))
+    dimensions = len(start)
+    local = nlopt.opt(nlopt.LN_SBPLX, dimensions)
+    local.set_xtol_abs(1e-5)
+    local.set_maxeval(60 * dimensions)
+    optimizer = nlopt.opt(nlopt.G_MLSL_LDS, dimensions)
+    optimizer.set_local_optimizer(local)
+    optimizer.set_population(6)
+    nlopt.srand(seed + 1)
+    return watched.minimise(optimizer, start, lambda x, _gradient: watched(x))
 
-    def value(x: Array, _gradient: Array) -> float:
-        nonlocal best, count
-        count += 1
-        budget.evaluations += 1
-        _, residual = objective.solve(x)
-        residual /= objective.norm
+
+def polish(objective: Objective, start: Array, budget: Budget) -> Array:
+    """Minimise from a point close to the minimum: sequential quadratic programming on central differences.
+
+    The variables are scaled to unit curvature first, which spares the method its own search for a scale.
+
+    Returns
+    -------
+    ndarray, shape (D,)
+        The best point met, also where time ran out.
+    """
+    watched = _Watched(objective, budget, _LOCAL_EVALUATIONS, (0.5, 1.0))
+    dimensions = len(start)
+    centre = np.clip(start, _STEP, 1.0 - _STEP)
+
+    def differences(x: Array) -> tuple[float, Array, Array]:
+        """Value, gradient and diagonal of the Hessian; x is at least a step inside."""
+        middle = watched(x)
+        gradient, curvature = np.zeros(dimensions), np.zeros(dimensions)
+        for d in range(dimensions):
+            up, down = watched(x + _STEP * np.eye(dimensions)[d]), watched(x - _STEP * np.eye(dimensions)[d])
+            gradient[d] = (up - down) / (2.0 * _STEP)
+            curvature[d] = (up - 2.0 * middle + down) / _STEP**2
+        return middle, gradient, curvature
+
+    first = differences(centre)
+    steepest = first[2].max()
+    if not (np.isfinite(steepest) and steepest > 0.0):
+        return watched.best[1]  # flat: nothing to gain
+    scale = 1.0 / np.sqrt(np.maximum(first[2], 1e-6 * steepest))
+
+    def value(z: Array, gradient: Array) -> float:
+        x = centre + scale * z
+        middle, slope, _ = first if not z.any() else differences(x)
+        if gradient.size:
+            gradient[:] = slope * scale
+        # at unit curvature half the squared gradient is what there is still to gain
+        inside = (x > 2.0 * _STEP) & (x < 1.0 - 2.0 * _STEP)
+        if 0.5 * np.sum((slope * scale)[inside] ** 2) < _NEGLIGIBLE:
+            optimizer.force_stop()
+        return middle
+
+    optimizer = nlopt.opt(nlopt.LD_SLSQP, dimensions)
+    optimizer.set_lower_bounds((_STEP - centre) / scale)
+    optimizer.set_upper_bounds((1.0 - _STEP - centre) / scale)
+    optimizer.set_xtol_abs(1e-7 / scale)
+    return watched.minimise(optimizer, np.zeros(dimensions), value, bounded=True)
+
+
+class _Watched:
+    """An objective, relative to the sum of squared values, that remembers the best and reports progress."""
+
+    def __init__(
+        self, objective: Objective, budget: Budget, evaluations: int, span: tuple[float, float]
+    ) -> None:
+        self.objective, self.budget, self.span = objective, budget, span
+        self.most = evaluations * max(1, len(objective.parameters))
+        self.count = 0
+        self.best = (np.inf, np.zeros(len(objective.parameters)))
+
+    def __call__(self, x: Array) -> float:
+        self.count += 1
+        self.budget.evaluations += 1
+        residual = self.objective.solve(x)[1] / self.objective.norm
         if not np.isfinite(residual):
             residual = 1e30
-        if residual < best[0]:
-            best = (residual, x.copy())
-        if budget.progress is not None:
-            done = 0.5 * min(1.0, count / most) + (0.0 if everywhere else 0.5)
-            budget.progress(done, f"residual {best[0]:.3g}")
+        if residual < self.best[0] or self.count == 1:
+            self.best = (residual, np.array(x))
+        if self.budget.progress is not None:
+            share = min(1.0, self.count / self.most)
+            done = self.span[0] + share * (self.span[1] - self.span[0])
+            self.budget.progress(done, f"residual {self.best[0]:.3g}")
         return residual
 
-    local = nlopt.opt(nlopt.LN_SBPLX, dimensions)
-    if everywhere:
-        optimizer = nlopt.opt(nlopt.G_MLSL_LDS, dimensions)
-        local.set_xtol_abs(1e-4)
-        local.set_maxeval(40 * dimensions)
-        optimizer.set_local_optimizer(local)
-        optimizer.set_population(6)
-        nlopt.srand(seed + 1)
-    else:
-        optimizer = local
-        optimizer.set_xtol_abs(1e-8)
-        optimizer.set_initial_step(0.005)
-    optimizer.set_lower_bounds(np.zeros(dimensions))
-    optimizer.set_upper_bounds(np.ones(dimensions))
-    optimizer.set_min_objective(value)
-    optimizer.set_maxeval(most)
-    optimizer.set_maxtime(budget.seconds())
-    try:
-        optimizer.optimize(np.clip(start, 0.0, 1.0))
-    except (nlopt.RoundoffLimited, RuntimeError):
-        if not np.isfinite(best[0]):
-            raise
-    return best[1]
+    def minimise(
+        self,
+        optimizer: nlopt.opt,
+        start: Array,
+        value: Callable[[Array, Array], float],
+        bounded: bool = False,
+    ) -> Array:
+        if not bounded:
+            optimizer.set_lower_bounds(np.zeros(len(start)))
+            optimizer.set_upper_bounds(np.ones(len(start)))
+        optimizer.set_min_objective(value)
+        optimizer.set_maxeval(self.most)
+        optimizer.set_maxtime(self.budget.seconds())
+        # nlopt reports an end at rounding errors as an exception; the best point met stands
+        with suppress(nlopt.RoundoffLimited, nlopt.ForcedStop, RuntimeError):
+            optimizer.optimize(start)
+        return self.best[1]
 
 
 def _take(samples: Samples, picks: NDArray[np.intp]) -> Samples:

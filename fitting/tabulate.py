@@ -12,6 +12,7 @@ from fitting.grid import LEVELS, Grid
 from fitting.models.dispatch import lobe_eval, lobe_pdf, lobe_sample
 from fitting.result import Fit
 from gonio.core.jit import kernel
+from gonio.progress import Report
 from gonio.table.table import Table
 
 Array = NDArray[np.float64]
@@ -23,7 +24,7 @@ _ANGLES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 85.0)
 _LATTICE = 4096
 
 
-def tabulate(fit: Fit, grid_like: Table | None = None) -> Table:
+def tabulate(fit: Fit, grid_like: Table | None = None, progress: Report | None = None) -> Table:
     """Cell averages of a model, by Gauss quadrature refined where the lobe is narrow.
 
     Parameters
@@ -31,6 +32,8 @@ def tabulate(fit: Fit, grid_like: Table | None = None) -> Table:
     fit : Fit
     grid_like : Table, optional
         Its grid is used; else 1 degree, 90 x 90 x 180 cells, rows being cells of incidence.
+    progress : callable, optional
+        Called with the fraction done and a few words.
 
     Returns
     -------
@@ -58,7 +61,11 @@ def tabulate(fit: Fit, grid_like: Table | None = None) -> Table:
         provenance={"model": fit.model, "fit": fit.to_json()},
     )
     grid = Grid.of_table(bare)
-    values = np.stack([_row(fit, grid, row, shape[1:]) for row in range(shape[0])])
+    values = np.zeros(bare.values.shape)
+    for row in range(shape[0]):
+        values[row] = _row(fit, grid, row, shape[1:])
+        if progress is not None:
+            progress((row + 1) / shape[0], f"row {row + 1} of {shape[0]}")
     albedo = np.einsum("irsc,rs->ic", values, bare.projected_solid_angles)
     return bare.replace(values=values, albedo=albedo)
 
@@ -76,7 +83,7 @@ def _row(fit: Fit, grid: Grid, row: int, shape: tuple[int, int]) -> Array:
     flat = values.reshape(-1, len(fit.channels))
     chosen = np.arange(len(cells))
     flat[:] = grid.terms(kinds, shapes, cells, 0) @ picks
-    mirror = _near_mirror(grid, cells)
+    mirror = grid.near_mirror(cells)
     for level in range(1, LEVELS):
         new = grid.terms(kinds, shapes, cells[chosen], level) @ picks
         change = np.abs(new - flat[chosen]).max(axis=1)
@@ -89,14 +96,6 @@ def _row(fit: Fit, grid: Grid, row: int, shape: tuple[int, int]) -> Array:
         if len(chosen) == 0:
             break
     return values
-
-
-def _near_mirror(grid: Grid, cells: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Cells within two cells of the mirror direction, where lobes are narrowest."""
-    i, r, s = cells.T
-    sines = grid.rows[0, i, 0, 0]
-    ring = np.searchsorted(grid.rings[0, :, 0, 0], sines)
-    return (np.abs(r - ring) <= 2) & ((s >= grid.sectors.shape[1] - 2) | (r <= 2))
 
 
 @kernel

@@ -12,8 +12,9 @@ to the detector, tuples of unit length), f_r in 1/sr without cosine:
 - ``terms(p, wi, wo) -> (t0, t1)``: the terms, t1 = 0 where there is one only; (0, 0) unless both
   directions are strictly above the horizon.
 - ``sample(p, wi, u0, u1) -> wo``: a direction drawn for light from `wi` (above the horizon). It may fall
-  below the horizon, where the lobe is 0: such a path ends.
-- ``pdf(p, wi, wo)``: the density of `sample` in 1/sr over the whole sphere of `wo`; integrates to 1.
+  below the horizon, where the lobe is 0: such a sample is discarded.
+- ``pdf(p, wi, wo)``: the density of `sample`, 1/sr, for `wo` on the whole sphere, where it integrates to 1.
+  `dispatch.lobe_pdf` is 0 below the horizon, so it integrates to the share of samples kept.
 
 `p` is a float64 array of length `SIZE` whatever the lobe: p[0] and p[1] are weights of the two terms
 (`evaluate` returns p[0] t0 + p[1] t1), p[2:] the shape parameters in the order of `Lobe.parameters`.

@@ -5,6 +5,8 @@ The contract of directions, measures and the packed array `p` is in `fitting.mod
 
 from __future__ import annotations
 
+import numpy as np
+
 from fitting.models import ashikhmin_shirley, cook_torrance, lambert, oren_nayar
 from gonio.core.jit import kernel
 
@@ -72,7 +74,8 @@ def lobe_eval(kind, p, wi, wo):
 def lobe_sample(kind, p, wi, u0, u1):
     """A direction `wo` for light from `wi`, from two uniform numbers in (0, 1).
 
-    It may fall below the horizon, where the lobe is 0 and the path ends. `wi` must be above it.
+    It may fall below the horizon, where lobe and density are 0: a sample to be discarded. `wi` must be
+    above it.
     """
     if kind in (_BECKMANN, _GGX, _V_CAVITY):
         return _ggx_sample(p, wi, u0, u1)
@@ -83,9 +86,43 @@ def lobe_sample(kind, p, wi, u0, u1):
 
 @kernel
 def lobe_pdf(kind, p, wi, wo):
-    """Density of `lobe_sample` at `wo`, 1/sr over the whole sphere."""
+    """Density of `lobe_sample` at `wo`, 1/sr.
+
+    0 unless both directions are above the horizon: it integrates to the share of samples that are.
+    """
+    if wi[2] <= 0.0 or wo[2] <= 0.0:
+        return 0.0
     if kind in (_BECKMANN, _GGX, _V_CAVITY):
         return _ggx_pdf(p, wi, wo)
     if kind == _AS_SPECULAR:
         return _as_pdf(p, wi, wo)
     return _cosine_pdf(p, wi, wo)
+
+
+@kernel
+def eval_many(kind, p, wi, wo):
+    """`lobe_eval` for arrays of directions, shape (N, 3) each; returns shape (N,)."""
+    out = np.empty(len(wo))
+    for n in range(len(wo)):
+        out[n] = lobe_eval(kind, p, (wi[n, 0], wi[n, 1], wi[n, 2]), (wo[n, 0], wo[n, 1], wo[n, 2]))
+    return out
+
+
+@kernel
+def sample_many(kind, p, wi, u):
+    """`lobe_sample` for arrays, `wi` of shape (N, 3) and `u` of shape (N, 2); returns `wo`, shape (N, 3)."""
+    out = np.empty((len(wi), 3))
+    for n in range(len(wi)):
+        out[n, 0], out[n, 1], out[n, 2] = lobe_sample(
+            kind, p, (wi[n, 0], wi[n, 1], wi[n, 2]), u[n, 0], u[n, 1]
+        )
+    return out
+
+
+@kernel
+def pdf_many(kind, p, wi, wo):
+    """`lobe_pdf` for arrays of directions, shape (N, 3) each; returns shape (N,)."""
+    out = np.empty(len(wo))
+    for n in range(len(wo)):
+        out[n] = lobe_pdf(kind, p, (wi[n, 0], wi[n, 1], wi[n, 2]), (wo[n, 0], wo[n, 1], wo[n, 2]))
+    return out

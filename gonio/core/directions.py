@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gonio.core.jit import kernel
 
 
-@kernel
+@kernel(allocates=False)
 def frame(n):
     """Two tangents that complete the unit vector `n` to a right-handed orthonormal frame.
 
@@ -30,7 +30,7 @@ def frame(n):
     return (1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), (b, sign + n[1] * n[1] * a, -n[1])
 
 
-@kernel
+@kernel(allocates=False)
 def cosine_hemisphere(u0, u1):
     """Direction of density cos(theta)/pi about +z from two uniform numbers (Malley's method)."""
     r = math.sqrt(u0)
@@ -38,7 +38,7 @@ def cosine_hemisphere(u0, u1):
     return r * math.cos(phi), r * math.sin(phi), math.sqrt(max(0.0, 1.0 - u0))
 
 
-@kernel
+@kernel(allocates=False)
 def half_vector(wi, wo):
     """Unit vector along wi + wo; (0, 0, 1) where they cancel."""
     x, y, z = wi[0] + wo[0], wi[1] + wo[1], wi[2] + wo[2]
@@ -48,7 +48,7 @@ def half_vector(wi, wo):
     return x / length, y / length, z / length
 
 
-@kernel
+@kernel(allocates=False)
 def cos_delta_phi(wi, wo):
     """Cosine of the azimuth between two outward directions: 1 is retro-reflection, -1 the mirror side.
 

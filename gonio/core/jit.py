@@ -19,11 +19,18 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numba
-from numba import prange
-from numba.core import config
+_PROCESSORS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+# numba fixes the largest number of threads at import; leave room to ask for more than there are processors
+_ASKED = os.environ.get("NUMBA_NUM_THREADS")
+os.environ.setdefault("NUMBA_NUM_THREADS", str(max(_PROCESSORS, 8)))
 
-__all__ = ["disabled", "kernel", "prange", "set_threads"]
+import numba  # noqa: E402
+from numba import prange  # noqa: E402
+from numba.core import config  # noqa: E402
+
+from microgeometry.errors import InputError  # noqa: E402
+
+__all__ = ["disabled", "kernel", "prange", "set_threads", "threads"]
 
 _ROOT = Path(__file__).resolve().parents[2]
 # Packages with kernels, lowest floor first. A kernel may call into its own floor and those below.
@@ -33,8 +40,14 @@ _UNUSED_DAYS = 30
 disabled: bool = bool(config.DISABLE_JIT)
 """True when kernels run as plain Python (NUMBA_DISABLE_JIT=1)."""
 
+if not disabled and _ASKED is None:
+    numba.set_num_threads(min(_PROCESSORS, config.NUMBA_NUM_THREADS))
 
-def kernel(function: Callable | None = None, *, parallel: bool = False, inline: bool = False) -> Any:
+
+
+def kernel(
+    function: Callable | None = None, *, parallel: bool = False, inline: bool = False, allocates: bool = True
+) -> Any:
     """Compile a function for numba's nopython mode, cached across processes.
 
     Parameters
@@ -47,6 +60,9 @@ def kernel(function: Callable | None = None, *, parallel: bool = False, inline: 
         iteration only, so that results do not depend on the number of threads.
     inline : bool
         Inline into the caller at numba's level, for small helpers that return tuples.
+    allocates : bool
+        Say False where neither the function nor what it inlines makes an array: numba then leaves out
+        the counting of references to its array arguments, an atomic operation for each at every call.
 
     Returns
     -------
@@ -67,6 +83,7 @@ def kernel(function: Callable | None = None, *, parallel: bool = False, inline: 
                 error_model="numpy",
                 fastmath={"contract"},
                 inline="always" if inline else "never",
+                _nrt=allocates,
             )(f)
         finally:
             config.CACHE_DIR = previous
@@ -74,16 +91,29 @@ def kernel(function: Callable | None = None, *, parallel: bool = False, inline: 
     return decorate if function is None else decorate(function)
 
 
-def set_threads(threads: int) -> None:
+def threads() -> int:
+    """Threads that parallel kernels run on: NUMBA_NUM_THREADS, or all processors this process may use."""
+    return 1 if disabled else numba.get_num_threads()
+
+
+def set_threads(count: int) -> None:
     """Use this many threads for parallel kernels from now on.
 
     Raises
     ------
-    ValueError
-        More than numba was started with (NUMBA_NUM_THREADS, by default the number of processors).
+    InputError
+        Less than 1, or more than numba was started with.
     """
-    if not disabled:
-        numba.set_num_threads(threads)
+    if count < 1:
+        raise InputError(f"threads: {count}; at least 1 is needed")
+    if disabled:
+        return
+    if count > config.NUMBA_NUM_THREADS:
+        raise InputError(
+            f"threads: {count}; at most {config.NUMBA_NUM_THREADS} in this process: set the environment "
+            f"variable NUMBA_NUM_THREADS={count} before it starts"
+        )
+    numba.set_num_threads(count)
 
 
 @lru_cache

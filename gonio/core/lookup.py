@@ -30,7 +30,7 @@ def axis(edges: ArrayLike) -> Axis:
     return Axis(edges, first.astype(np.int64), buckets / float(edges[-1] - edges[0]))
 
 
-@kernel
+@kernel(allocates=False)
 def find(axis, x):
     """Index i of the interval edges[i] <= x < edges[i + 1]; the outermost intervals take what lies beyond."""
     bucket = int((x - axis.edges[0]) * axis.scale)

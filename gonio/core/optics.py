@@ -7,7 +7,7 @@ import math
 from gonio.core.jit import kernel
 
 
-@kernel
+@kernel(allocates=False)
 def fresnel_dielectric(cos_i, eta):
     """Intensity reflectances (R_s, R_p) of a lossless interface.
 
@@ -21,18 +21,21 @@ def fresnel_dielectric(cos_i, eta):
     Returns
     -------
     tuple of float
-        R_s, R_p; both exactly 1 at total internal reflection.
+        R_s, R_p; both exactly 1 at total internal reflection, exactly 0 for equal indices.
     """
-    sin2_t = (1.0 - cos_i * cos_i) / (eta * eta)
-    if sin2_t >= 1.0:
+    if eta == 1.0:
+        return 0.0, 0.0
+    # eta^2 cos^2 theta_t, written so that nothing cancels at grazing incidence or eta near 1
+    cos2_t = (eta - 1.0) * (eta + 1.0) + cos_i * cos_i
+    if cos2_t <= 0.0:
         return 1.0, 1.0
-    cos_t = math.sqrt(1.0 - sin2_t)
+    cos_t = math.sqrt(cos2_t) / eta
     r_s = (cos_i - eta * cos_t) / (cos_i + eta * cos_t)
     r_p = (eta * cos_i - cos_t) / (eta * cos_i + cos_t)
     return r_s * r_s, r_p * r_p
 
 
-@kernel
+@kernel(allocates=False)
 def fresnel_conductor(cos_i, eta, k):
     """Intensity reflectances (R_s, R_p) of an absorbing half-space of index eta + i k seen from vacuum.
 
@@ -50,7 +53,7 @@ def fresnel_conductor(cos_i, eta, k):
     cos2 = cos_i * cos_i
     sin2 = 1.0 - cos2
     # a + i b = sqrt((eta + i k)^2 - sin^2)
-    real = eta * eta - k * k - sin2
+    real = (eta - 1.0) * (eta + 1.0) - k * k + cos2
     imaginary = 2.0 * eta * k
     modulus = math.sqrt(real * real + imaginary * imaginary)
     # the larger root directly, the other from a b = eta k: no cancellation at small k

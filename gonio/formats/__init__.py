@@ -52,8 +52,22 @@ def write(table: Table, path: str | os.PathLike[str]) -> list[str]:
 
 def convert(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> list[str]:
     """Read one format and write another, both chosen by suffix; returns what was lost in writing."""
-    _module(Path(target))  # a misspelt target fails before a long read
+    check_target(target)
     return write(read(source), target)
+
+
+def check_target(path: str | os.PathLike[str]) -> None:
+    """Fail now rather than after a long run: is `path` of a known format, in a folder that exists?
+
+    Raises
+    ------
+    InputError
+        The suffix is unknown or the folder missing.
+    """
+    path = Path(path)
+    _module(path)
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
 
 
 def _module(path: Path) -> ModuleType:

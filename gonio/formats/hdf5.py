@@ -154,14 +154,10 @@ def _write_scale(file: h5py.File, name: str, data: NDArray, unit: str) -> None:
 
 def _write_data(file: h5py.File, name: str, data: NDArray, axes: tuple[str, ...], unit: str) -> None:
     options: dict[str, Any] = {}
-    if data.ndim >= 3:
+    if data.ndim >= 2:
         # One row of incidence a chunk, as large as one is read at a time. Level 1: level 4 saves 2 % more.
-        options = {
-            "chunks": (1, *data.shape[1:]),
-            "shuffle": True,
-            "compression": "gzip",
-            "compression_opts": 1,
-        }
+        chunks = (1, *data.shape[1:]) if data.ndim >= 3 else data.shape
+        options = {"chunks": chunks, "shuffle": True, "compression": "gzip", "compression_opts": 1}
     if data.dtype == bool:
         data = data.astype(np.uint8)
     dataset = file.create_dataset(name, data=data, **options)

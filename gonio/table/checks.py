@@ -165,24 +165,24 @@ def _compare(
     """
     n_pairs, n_sectors, n_channels = sums[0].shape
     # effective hits, both sides together: (sum f)^2 / sum variance of each cell
-    hits = sum(
-        np.divide(f**2, v, out=np.zeros_like(f), where=v > 0) for f, v in zip(sums, variances, strict=True)
-    )
-    if name == "rings":
-        block = np.zeros((n_pairs, n_sectors, n_channels), int)
-    else:
+    hits = np.zeros_like(sums[0])
+    for f, v in zip(sums, variances, strict=True):
+        hits += np.divide(f**2, v, out=np.zeros_like(f), where=v > 0)
+    block = np.zeros((n_pairs, n_sectors, n_channels), np.int64)  # all sectors, unless cells are compared
+    if name == "cells":
         needed = (MIN_HITS / share)[:, None]
-        block = np.zeros(hits.shape, int)
         gathered, current = np.zeros((n_pairs, n_channels)), np.zeros((n_pairs, n_channels), int)
         for sector in range(n_sectors):
             block[:, sector] = current
             gathered += hits[:, sector]
             full = gathered >= needed
-            current = current + full
+            current += full
             gathered[full] = 0.0
     lines = np.arange(n_pairs)[:, None, None] * n_channels + np.arange(n_channels)
-    keys = (lines * (n_sectors + 1) + block).ravel()
-    merged = [np.bincount(keys, a.ravel()) for a in (*sums, *variances, hits, np.ones_like(hits))]
+    keys: NDArray = (lines * (n_sectors + 1) + block).ravel()
+    merged: list[NDArray] = [
+        np.bincount(keys, a.ravel()) for a in (*sums, *variances, hits, np.ones_like(hits))
+    ]
     f1, f2, v1, v2, hits, cells = merged
     enough = np.repeat(np.repeat(MIN_HITS / share, n_channels), n_sectors + 1)[: len(hits)]
     # The last block of a line may be short of hits: the stopping rule drops it without looking at f1 - f2

@@ -21,7 +21,7 @@ LEDGER_COLUMNS = 6
 
 @kernel(parallel=True)
 def trace_batch(
-    embree, box, eta_k, albedo, sin2_lower, sin2_upper, theta_axis, phi_axis, strata_x, strata_y, chunks, seed, batch,
+    embree, box, coherent, eta_k, albedo, sin2_lower, sin2_upper, theta_axis, phi_axis, strata_x, strata_y, chunks, seed, batch,
     max_bounces, cells, specular, albedo_sums, ledger,
 ):  # fmt: skip
     """Trace one batch: strata_x x strata_y x 16 paths for every row, binned by where they leave.
@@ -33,6 +33,8 @@ def trace_batch(
     ----------
     embree : Handle
     box : Box
+    coherent : bool
+        As in `trace_packet`.
     eta_k, albedo : ndarray or None
         As in `gonio.trace.scene.Optics`.
     sin2_lower, sin2_upper : ndarray, shape (I,)
@@ -78,8 +80,9 @@ def trace_batch(
             start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, batch, path)
             mirror_x, mirror_y = packet[DIR_X, 0], packet[DIR_Y, 0]
             ledger[row, chunk, RAYS] += trace_packet(
-                embree, box, packet, eta_k, albedo, max_bounces, seed, batch, path, weight, bounces, status, absorbed
-            )
+                embree, box, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path,
+                weight, bounces, status, absorbed,
+            )  # fmt: skip
             for lane in range(PACKET_WIDTH):
                 energy = weight[lane].sum() / channels
                 if status[lane] == KILLED:

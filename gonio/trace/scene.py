@@ -44,11 +44,13 @@ class TraceScene:
         self._scene = Scene()
         if isinstance(tile, HeightField):
             z = _centred(tile.heights * scale)
-            self._scene.add_grid(_periodic_vertices(z, tile.size[0] * scale, tile.size[1] * scale))
+            self._scene.add_grid(periodic_vertices(z, tile.size[0] * scale, tile.size[1] * scale))
+            self.facets = 2 * z.size
         elif isinstance(tile, TriangleMesh):
             vertices = (tile.vertices - [*tile.origin, 0.0]) * scale
             vertices[:, 2] = z = _centred(vertices[:, 2])
             self._scene.add_triangles(vertices, tile.faces)
+            self.facets = len(tile.faces)
         else:
             raise TypeError(f"tile: {type(tile).__name__}; a HeightField or a TriangleMesh is expected")
         self._scene.commit()
@@ -89,7 +91,7 @@ def _centred(z: NDArray[np.float64]) -> NDArray[np.float64]:
     return z - 0.5 * (z.min() + z.max())
 
 
-def _periodic_vertices(z: NDArray[np.float64], width_x: float, width_y: float) -> NDArray[np.float64]:
+def periodic_vertices(z: NDArray[np.float64], width_x: float, width_y: float) -> NDArray[np.float64]:
     """Vertices of a height field with its first row and column again at the far side."""
     z = np.pad(z, ((0, 1), (0, 1)), mode="wrap")
     x = np.linspace(0.0, width_x, z.shape[0])

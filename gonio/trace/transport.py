@@ -1,8 +1,9 @@
 """Transport of light through one periodic tile: 16 paths at a time, from the plane above it until they leave.
 
 The packet that Embree traces is itself the state of the 16 paths, in single precision; path weights are
-double. A packet's lanes start beside each other and in one direction, and Embree traces every segment
-with its coherent flag: neighbours stay neighbours after a bounce more often than not.
+double. A packet's lanes start beside each other and in one direction; where they lie so close that they
+meet the same few facets, Embree traces every segment with its coherent flag (neighbours stay neighbours
+after a bounce more often than not).
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _TWO = np.float32(2.0)
 _FAR = np.float32(np.inf)
 
 
-@kernel
+@kernel(allocates=False)
 def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
     """Place 16 paths on the plane z = top, one in each cell of a 4 x 4 grid of strata, heading along -wi.
 
@@ -67,9 +68,9 @@ def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
         ints[VALID, lane] = -1
 
 
-@kernel
+@kernel(allocates=False)
 def trace_packet(
-    embree, box, packet, eta_k, albedo, max_bounces, seed, batch, path, weight, bounces, status, absorbed
+    embree, box, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path, weight, bounces, status, absorbed
 ):
     """Follow the 16 paths of a started packet to their ends.
 
@@ -77,6 +78,9 @@ def trace_packet(
     ----------
     embree : Handle
     box : Box
+    coherent : bool
+        Whether neighbouring paths start within a few facets of each other: Embree then traces them
+        together, else each for itself.
     packet : ndarray
         Started by `start_packet`; on return its directions are those the paths left in.
     eta_k, albedo : ndarray or None
@@ -105,7 +109,7 @@ def trace_packet(
     active = PACKET_WIDTH
     rays = 0
     while active > 0:
-        intersect16(embree, packet, True)
+        intersect16(embree, packet, coherent)
         rays += active
         for lane in range(PACKET_WIDTH):
             if ints[VALID, lane] == 0:
@@ -136,7 +140,7 @@ def trace_packet(
     return rays
 
 
-@kernel
+@kernel(allocates=False)
 def _cross(box, packet, lane):
     """Take a ray that hit nothing in its tile to the tile's face: out above, lost below, or in again opposite."""
     x, y, z = packet[ORG_X, lane], packet[ORG_Y, lane], packet[ORG_Z, lane]
@@ -172,7 +176,7 @@ def _cross(box, packet, lane):
     return 0
 
 
-@kernel
+@kernel(allocates=False)
 def _scatter(packet, lane, lift, eta_k, albedo, max_bounces, seed, batch, path, weight, bounces, absorbed):
     """Turn a path at a hit into a new direction; returns how it ended, or 0 if it goes on."""
     nx, ny, nz = packet[NORMAL_X, lane], packet[NORMAL_Y, lane], packet[NORMAL_Z, lane]
@@ -222,7 +226,7 @@ def _scatter(packet, lane, lift, eta_k, albedo, max_bounces, seed, batch, path, 
     return 0
 
 
-@kernel
+@kernel(allocates=False)
 def _roulette(lane, seed, batch, path, weight, bounces, absorbed):
     """Russian roulette on the strongest channel: survivors carry the energy of those that end here."""
     channels = weight.shape[1]

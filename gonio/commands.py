@@ -1,0 +1,168 @@
+"""The instrument's commands: trace, info, check, compress, convert, bench."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+import numpy as np
+
+from gonio import formats
+from gonio.progress import progress_bar
+from gonio.summary import summary
+from gonio.table.table import Table
+
+_PATH = click.Path(path_type=Path)
+_OUT = click.option("-o", "--out", required=True, type=_PATH, help="File to write.")
+_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+
+
+@click.command()
+@click.argument("spec", type=_PATH)
+@_OUT
+@click.option("--rays", type=int, help="Paths to trace over all rows (default 20 million).")
+@click.option("--time", "seconds", type=float, help="Trace for so many seconds instead.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Same seed, same bits.")
+@click.option("--threads", type=int, help="Default: all processors. Does not change the result.")
+@click.option("--estimator", type=click.Choice(["analog"]), default="analog", show_default=True)
+def trace(
+    spec: Path, out: Path, rays: int | None, seconds: float | None, seed: int, threads: int | None, estimator: str
+) -> None:
+    """Trace the specimen SPEC (a TOML file) to a BRDF table.
+
+    Ctrl-C stops early and saves what has been traced.
+    """
+    from gonio.trace.measure import run, start
+    from microgeometry.specimen import load_specimen
+
+    formats.check_target(out)
+    measurement = start(load_specimen(spec), rays, seconds, seed, threads)
+    interrupted = False
+    with progress_bar(f"trace {spec.name}") as report:
+        try:
+            run(measurement, seconds, report)
+        except KeyboardInterrupt:
+            if measurement.tally.batches == 0:
+                raise
+            interrupted = True
+    table = measurement.table()
+    command = " ".join(["gonio", *sys.argv[1:]])
+    table = table.replace(provenance={**table.provenance, "command": command, "interrupted": interrupted})
+    formats.write(table, out)
+    click.echo(_one_line(table, out))
+    if interrupted:
+        click.echo(
+            f"gonio: interrupted after {measurement.tally.batches} of {measurement.planned_batches} batches; "
+            f"{out} holds what they gave",
+            err=True,
+        )
+        raise click.exceptions.Exit(130)
+
+
+@click.command()
+@click.argument("table", type=_PATH)
+@_JSON
+def info(table: Path, as_json: bool) -> None:
+    """Say what is in a table: grid, channels, albedo, error bars, ledger, provenance."""
+    data = summary(formats.read(table), table)
+    click.echo(json.dumps(data) if as_json else _info_text(data))
+
+
+@click.command()
+@click.argument("table", type=_PATH)
+@_JSON
+def check(table: Path, as_json: bool) -> None:
+    """Check a table: reciprocity, energy, positivity, noise. Exit status 1 if it fails."""
+    from gonio.table.checks import check as run_checks
+
+    report = run_checks(formats.read(table))
+    click.echo(json.dumps(report.to_json()) if as_json else "\n".join(report.lines()))
+    if not report.passed:
+        raise click.exceptions.Exit(1)
+
+
+@click.command()
+@click.argument("table", type=_PATH)
+@_OUT
+@click.option(
+    "--max-error",
+    type=float,
+    default=0.01,
+    show_default=True,
+    help="Largest relative, cosine-weighted RMS error of any row and channel.",
+)
+@_JSON
+def compress(table: Path, out: Path, max_error: float, as_json: bool) -> None:
+    """Compress a table within a bound on its error."""
+    from gonio.table.compress import compress as run_compression
+
+    report = run_compression(formats.read(table), out, max_error)
+    if as_json:
+        click.echo(json.dumps(asdict(report)))
+        return
+    click.echo(
+        f"{out}: {report.bytes / 1e3:.0f} kB, {report.ratio:.0f}:1 against float32; error of a row {report.error_median:.4f} "
+        f"(median), {report.error_worst:.4f} (worst); asked {report.max_error:g}, the table's own noise "
+        f"{report.noise_median:.4f} (median), {report.noise_worst:.4f} (worst)"
+    )
+
+
+@click.command()
+@click.argument("source", type=_PATH)
+@click.argument("target", type=_PATH)
+def convert(source: Path, target: Path) -> None:
+    """Convert a table between formats, chosen by suffix: .h5, .binary (MERL)."""
+    lost = formats.convert(source, target)
+    click.echo(f"{target}: written" + "".join(f"\n  lost: {what}" for what in lost))
+
+
+@click.command()
+@click.argument("names", nargs=-1)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+def bench(names: tuple[str, ...], as_json: bool) -> None:
+    """Measure speed against error, as ratios within one run. NAMES default to all benchmarks."""
+    from gonio.bench import run_benchmarks
+
+    results = run_benchmarks(names, (lambda line: None) if as_json else click.echo)
+    if as_json:
+        click.echo(json.dumps(results))
+
+
+COMMANDS = (trace, info, check, compress, convert, bench)
+
+
+def _one_line(table: Table, path: Path) -> str:
+    p = table.provenance
+    return (
+        f"{path}: {p['paths'] / 1e6:.1f} M paths in {p['seconds']:.1f} s ({p['paths_per_second'] / 1e6:.2f} M/s), "
+        f"{p['batches']} batches, albedo {table.albedo.mean():.4f} +- {table.albedo_std_error.max():.1e}"
+    )
+
+
+def _info_text(data: dict) -> str:
+    lines = [f"{data['file']}: {data['bytes'] / 1e6:.1f} MB, {' x '.join(map(str, data['shape']))} cells"]
+    lines.append(f"channels      {', '.join(data['channels'])}")
+    if data["estimator"]:
+        lines.append(
+            f"traced        {data['ledger']['paths'] / 1e6:.1f} M paths, {data['batches']} batches, "
+            f"{data['seconds']:.1f} s, {data['paths_per_second'] / 1e6:.2f} M paths/s ({data['estimator']})"
+        )
+    if data["surface"]:
+        surface = data["surface"]
+        lines.append(f"surface       alpha {surface['alpha']:.4f}, rms height {surface['rms_height']:.3g} m (measured)")
+    if data["figure_of_merit"]:
+        lines.append(f"merit         {data['figure_of_merit']:.3g} / (relative variance x s)")
+    for name, energy in data["ledger"].items():
+        lines.append(f"  {name:12s}{energy:.6g}")
+    lines.append("theta_i  albedo (+- standard error) [specular] in each channel")
+    rows = np.unique(np.linspace(0, len(data["theta_i_deg"]) - 1, 10).round().astype(int))
+    for i in rows:
+        cells = (
+            f"{a:.5f} +- {e:.1e} [{s:.4f}]"
+            for a, e, s in zip(data["albedo"][i], data["albedo_std_error"][i], data["specular"][i], strict=True)
+        )
+        lines.append(f"{data['theta_i_deg'][i]:7.2f}  {'   '.join(cells)}")
+    return "\n".join(lines)

@@ -1,0 +1,300 @@
+"""The measurement: batches of a specimen until the budget is spent, then a table."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import time
+from dataclasses import asdict
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.core.directions import projected_solid_angles
+from gonio.core.jit import set_threads
+from gonio.core.lookup import axis
+from gonio.progress import Report
+from gonio.table.table import Table
+from gonio.trace.analog import trace_batch
+from gonio.trace.errors import TraceError
+from gonio.trace.scene import TraceScene, pack_optics
+from gonio.trace.tally import Tally
+from microgeometry.errors import InputError
+from microgeometry.specimen import Specimen
+from microgeometry.tile import SurfaceStatistics
+
+MIN_BATCHES = 32
+MAX_BOUNCES = 256
+LOST_LIMIT = 1e-6
+_UNITS = 32  # units of work in a batch, at least: enough for any desktop's threads to share evenly
+_MAX_PACKETS = 1 << 16  # of 16 paths, per row and batch
+_STATISTICS_TILES = 8  # realisations whose facets are measured
+_DEFAULT_RAYS = 20_000_000
+_COHERENT_FACETS = 8  # facets per path of a row below which coherent packets are faster (measured)
+_TRIAL_RATE = 2e6  # paths/s assumed when a time is given, to choose the size of a batch
+
+
+class Measurement:
+    """A specimen under the instrument.
+
+    Call `add_batch` as often as wanted, then `table`; or let `measure` do both.
+
+    Parameters
+    ----------
+    specimen : Specimen
+    rays : int
+        Paths planned in all; fixes the size of a batch so that at least 32 make up the plan.
+    seed : int
+        Everything drawn depends on it, on the batch and on the path, and on nothing else.
+
+    Raises
+    ------
+    InputError
+        A negative or too large seed, or no rays.
+    """
+
+    def __init__(self, specimen: Specimen, rays: int = _DEFAULT_RAYS, seed: int = 0) -> None:
+        if rays < 1:
+            raise InputError(f"rays: {rays}; at least 1 is needed")
+        if not 0 <= seed < 2**32:
+            raise InputError(f"seed: {seed}; an integer from 0 to 4294967295 is needed")
+        self.specimen = specimen
+        self.seed = seed
+        grid = specimen.grid
+        self._theta_edges = np.radians(np.linspace(0, 90, round(90 / grid.theta_step_deg) + 1))
+        self._phi_edges = np.radians(np.linspace(0, 180, round(180 / grid.phi_step_deg) + 1))
+        sin2_edges = np.sin(self._theta_edges) ** 2
+        self._theta_axis = axis(sin2_edges)
+        self._phi_axis = axis(-np.cos(self._phi_edges))
+        if grid.theta_i_deg is None:
+            self._theta_i_edges: NDArray[np.float64] | None = self._theta_edges
+            self._theta_i = 0.5 * (self._theta_edges[1:] + self._theta_edges[:-1])
+            self._sin2 = sin2_edges[:-1], sin2_edges[1:]
+        else:
+            self._theta_i_edges = None
+            self._theta_i = np.radians(grid.theta_i_deg)
+            self._sin2 = np.sin(self._theta_i) ** 2, np.sin(self._theta_i) ** 2
+        self._optics = pack_optics(specimen.material)
+        rows = len(self._theta_i)
+        exponent = 0
+        while 16 * rows * 2 ** (exponent + 1) * MIN_BATCHES <= rays and 2 ** (exponent + 1) <= _MAX_PACKETS:
+            exponent += 1
+        self._strata = 2 ** (exponent // 2), 2 ** (exponent - exponent // 2)
+        self.paths_per_batch = 16 * rows * 2**exponent
+        self.planned_batches = max(MIN_BATCHES, -(-rays // self.paths_per_batch))
+        self.tally = Tally(
+            rows,
+            (len(self._theta_edges) - 1) * (len(self._phi_edges) - 1),
+            len(grid.channels),
+            max(1, -(-_UNITS // rows)),
+        )
+        self.seconds = 0.0
+        self.trace_seconds = 0.0  # of which in the kernel
+        self._statistics: list[SurfaceStatistics] = []
+
+    def add_batch(self) -> None:
+        """Trace one more batch; on a random surface, a new realisation of it.
+
+        Raises
+        ------
+        TraceError
+            So many paths are lost that going on is pointless.
+        """
+        started = time.perf_counter()
+        batch = self.tally.batches
+        scene = self._scene(batch)
+        paths_per_row = self.paths_per_batch // len(self._theta_i)
+        coherent = paths_per_row * _COHERENT_FACETS >= scene.facets
+        cells, specular, reflected, ledger = self.tally.accumulators
+        tracing = time.perf_counter()
+        trace_batch(
+            scene.embree, scene.box, coherent, self._optics.eta_k, self._optics.albedo, *self._sin2, self._theta_axis,
+            self._phi_axis, *self._strata, cells.shape[1], self.seed, batch, MAX_BOUNCES,
+            cells, specular, reflected, ledger,
+        )  # fmt: skip
+        self.trace_seconds += time.perf_counter() - tracing
+        self.tally.close_batch(paths_per_row)
+        self.seconds += time.perf_counter() - started
+        self._check_lost(1e-3)
+
+    def table(self) -> Table:
+        """The table of all batches so far.
+
+        Raises
+        ------
+        TraceError
+            No batch yet, or more than one path in a million was lost.
+        """
+        if self.tally.batches == 0:
+            raise TraceError("no batch was traced yet: there is no table; trace at least one")
+        self._check_lost(LOST_LIMIT)
+        grid = self.specimen.grid
+        omega = projected_solid_angles(self._theta_edges, self._phi_edges)
+        values, std_error = self.tally.cells(omega.ravel())
+        shape = (len(self._theta_i), *omega.shape)
+        albedo, albedo_error, specular, specular_error = self.tally.rows()
+        hits = self.tally.hits.reshape(shape)
+        values = values.reshape(*shape, -1)
+        std_error = std_error.reshape(*shape, -1)
+        return Table(
+            values=values,
+            std_error=std_error,
+            hits=hits,
+            theta_i=self._theta_i,
+            theta_i_edges=self._theta_i_edges,
+            theta_r_edges=self._theta_edges,
+            delta_phi_edges=self._phi_edges,
+            channels=grid.channels,
+            wavelengths_nm=grid.wavelengths_nm,
+            albedo=albedo,
+            albedo_std_error=albedo_error,
+            specular=specular,
+            specular_std_error=specular_error,
+            ledger=dict(self.tally.ledger),
+            provenance=self._provenance(relative_variance(values, std_error, omega)),
+        )
+
+    def _scene(self, batch: int) -> TraceScene:
+        if not self.specimen.surface.is_random:
+            return self._fixed_scene
+        tile = self.specimen.surface.realise(_realisation_seed(self.seed, batch))
+        if len(self._statistics) < _STATISTICS_TILES:
+            self._statistics.append(tile.statistics())
+        return TraceScene(tile)
+
+    @cached_property
+    def _fixed_scene(self) -> TraceScene:
+        tile = self.specimen.surface.realise(0)
+        self._statistics.append(tile.statistics())
+        return TraceScene(tile)
+
+    def _check_lost(self, limit: float) -> None:
+        lost, paths = self.tally.ledger["lost"], self.tally.ledger["paths"]
+        if lost > max(1.0, limit * paths):
+            raise TraceError(
+                f"{self.specimen.name}: {lost:.0f} of {paths:.0f} paths were lost ({lost / paths:.2g}; at most "
+                f"{limit:g} may be): they fell through the surface. The mesh has holes, a rim that does not meet "
+                "the opposite one, or faces wound clockwise seen from outside; close it, tile it by mirroring "
+                '(tiling = "mirror"), or turn its faces over'
+            )
+
+    def _provenance(self, variance: float) -> dict[str, Any]:
+        paths = self.tally.ledger["paths"]
+        statistics = {
+            name: float(np.mean([asdict(s)[name] for s in self._statistics])) for name in asdict(self._statistics[0])
+        }
+        figure_of_merit = 1.0 / (variance * self.seconds) if variance > 0 and self.seconds > 0 else None
+        return {
+            "name": self.specimen.name,
+            "specimen": self.specimen.text,
+            "seed": self.seed,
+            "estimator": "analog",
+            "batches": self.tally.batches,
+            "planned_batches": self.planned_batches,
+            "realisations": self.tally.batches if self.specimen.surface.is_random else 1,
+            "paths": int(paths),
+            "rays": self.tally.rays,
+            "seconds": self.seconds,
+            "paths_per_second": paths / self.seconds,
+            "figure_of_merit": figure_of_merit,
+            "surface": statistics,
+            "versions": {name: importlib.metadata.version(name) for name in ("gonio", "embreex", "numba", "numpy")},
+        }
+
+
+def measure(
+    specimen: Specimen,
+    rays: int | None = None,
+    seconds: float | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Report | None = None,
+) -> Table:
+    """Trace a specimen to a table.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        From `microgeometry.specimen.load_specimen`.
+    rays : int, optional
+        Paths to trace, over all rows; rounded up to whole batches, at least 32. Default 20 million.
+    seconds : float, optional
+        Trace for that long instead (and at least two batches).
+    seed, threads : int, optional
+        The result is the same for any number of threads.
+    progress : callable, optional
+        Called after every batch.
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    InputError
+        Both or an impossible budget.
+    TraceError
+        Paths were lost.
+    """
+    measurement = start(specimen, rays, seconds, seed, threads)
+    run(measurement, seconds, progress)
+    return measurement.table()
+
+
+def start(
+    specimen: Specimen, rays: int | None, seconds: float | None, seed: int, threads: int | None
+) -> Measurement:
+    """Prepare a measurement with the arguments of `measure`."""
+    if rays is not None and seconds is not None:
+        raise InputError("rays and time: both given; give one of them as the budget")
+    if seconds is not None and not 0 < seconds < float("inf"):
+        raise InputError(f"time: {seconds}; a positive number of seconds is needed")
+    if threads is not None:
+        set_threads(threads)
+    if seconds is not None:
+        rays = max(1, int(seconds * _TRIAL_RATE))
+    return Measurement(specimen, _DEFAULT_RAYS if rays is None else rays, seed)
+
+
+def run(measurement: Measurement, seconds: float | None, progress: Report | None) -> None:
+    """Add batches until the plan, or the time, is over."""
+    while True:
+        measurement.add_batch()
+        tally = measurement.tally
+        if seconds is None:
+            fraction = tally.batches / measurement.planned_batches
+        else:
+            fraction = measurement.seconds / seconds if tally.batches >= 2 else 0.0
+        if progress is not None:
+            rate = tally.ledger["paths"] / measurement.seconds / 1e6
+            progress(min(1.0, fraction), f"{rate:.1f} M paths/s, albedo to {tally.albedo_error():.1e}")
+        if fraction >= 1.0:
+            return
+
+
+def relative_variance(values: NDArray[np.float64], std_error: NDArray[np.float64], omega: NDArray[np.float64]) -> float:
+    """Median relative variance of the cells that hold 99 % of the energy, mean over channels.
+
+    Parameters
+    ----------
+    values, std_error : ndarray, shape (I, R, P, C)
+    omega : ndarray, shape (R, P)
+        Projected solid angles; the energy of a cell is its value times this.
+    """
+    mean = values.mean(axis=3)
+    error = std_error.mean(axis=3)
+    medians = []
+    for row, row_error in zip(mean, error, strict=True):
+        energy = (row * omega).ravel()
+        order = np.argsort(energy)[::-1]
+        total = energy.sum()
+        if total <= 0:
+            continue
+        held = order[: 1 + int(np.searchsorted(np.cumsum(energy[order]), 0.99 * total))]
+        medians.append(np.median((row_error.ravel()[held] / row.ravel()[held]) ** 2))
+    return float(np.median(medians)) if medians else 0.0
+
+
+def _realisation_seed(seed: int, batch: int) -> int:
+    return int(np.random.SeedSequence((seed, batch)).generate_state(1, np.uint64)[0])

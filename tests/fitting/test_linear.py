@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fitting.linear import Coefficients
+from fitting.models import MODELS
+
+
+def equations(terms: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    gram = np.tril(terms.T @ terms)
+    return np.concatenate([gram, (terms.T @ y)[:, None]], axis=1)[None], np.array([y @ y])
+
+
+def test_linear_coefficients_are_the_non_negative_least_squares() -> None:
+    rng = np.random.default_rng(0)
+    terms = rng.random((50, 4))
+    terms[:, 3] = 0.0  # Lambert has one term
+    solver = Coefficients(MODELS["cook_torrance_ggx"].lobes)
+    c, residual = solver.solve(*equations(terms, terms @ [0.5, 0.0, 0.2, 0.0]))
+    assert c[:, 0] == pytest.approx([0.5, 0.0, 0.2], abs=1e-9)
+    assert residual == pytest.approx(0.0, abs=1e-12)
+    # the free optimum would be negative in the second: then the others alone
+    c, _ = solver.solve(*equations(terms, terms @ [0.5, -0.3, 0.2, 0.0]))
+    alone = np.linalg.lstsq(terms[:, [0, 2]], terms @ [0.5, -0.3, 0.2, 0.0], rcond=None)[0]
+    assert c[:, 0] == pytest.approx([alone[0], 0.0, alone[1]], abs=1e-9)
+
+
+def test_identical_terms_do_not_blow_up() -> None:
+    terms = np.random.default_rng(0).random((50, 4))
+    terms[:, 1], terms[:, 3] = terms[:, 0], 0.0
+    c, residual = Coefficients(MODELS["cook_torrance_ggx"].lobes).solve(*equations(terms, terms[:, 0]))
+    assert c[0] + c[1] == pytest.approx(1.0, abs=1e-6)
+    assert residual == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.3, 1.0])
+def test_a_squared_coefficient_is_the_root_of_a_cubic(rho: float) -> None:
+    terms = np.random.default_rng(1).random((50, 2))
+    solver = Coefficients(MODELS["oren_nayar"].lobes)
+    c, residual = solver.solve(*equations(terms, rho * terms[:, 0] + rho**2 * terms[:, 1]))
+    assert c[0, 0] == pytest.approx(rho, abs=1e-9)
+    assert residual == pytest.approx(0.0, abs=1e-10)
+    assert solver.factors(np.array([[0.5]]))[:, 0] == pytest.approx([0.5, 0.25])

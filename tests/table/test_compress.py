@@ -1,0 +1,219 @@
+"""Compression: the bound holds on the file, the table behaves like any other, damage is one clear line."""
+
+from __future__ import annotations
+
+import h5py
+import numpy as np
+import pytest
+
+from gonio.table.compress import METHODS, compress, cosine_weights, row_errors, row_noise
+from gonio.table.table import Table
+from gonio.validation import seed_from
+from microgeometry.errors import InputError
+from tests.table.tables import asymmetric, ggx, grid, lambert, make
+from tests.table.test_checks import poisson
+
+EDGES = grid(30, 30, 45)
+
+
+def row_error(original, decoded, row, channel, edges):
+    """The measure written out: relative RMS of f cos over solid angle, by a sum over cells."""
+    theta = 0.5 * (edges[1][1:] + edges[1][:-1])
+    solid = -np.diff(np.cos(edges[1]))[:, None] * np.diff(edges[2])
+    weight = np.cos(theta)[:, None] ** 2 * solid
+    a, b = original.values[row, :, :, channel], decoded.values[row, :, :, channel]
+    return np.sqrt(np.sum(weight * (a - b) ** 2) / np.sum(weight * a**2))
+
+
+@pytest.mark.parametrize("max_error", [0.1, 0.01, 1e-4])
+@pytest.mark.parametrize("alpha", [0.5, 0.15])
+def test_bound_holds_on_the_file(tmp_path, alpha, max_error):
+    table = make(ggx(alpha, 0.9), EDGES, specular=0.05)
+    report = compress(table, tmp_path / "c.h5", max_error)
+    decoded = Table.load(tmp_path / "c.h5")
+    errors = [row_error(table, decoded, row, c, EDGES) for row in range(30) for c in range(3)]
+    assert max(errors) <= 1.1 * max_error  # cos^2 is taken at cells' centres here
+    assert max(errors) > 0.5 * max_error  # and it is not met by storing everything
+    assert report.error_worst <= max_error
+    assert report.error_worst == pytest.approx(max(errors), rel=0.1)
+    assert report.error_median <= report.error_worst
+    assert report.bytes == (tmp_path / "c.h5").stat().st_size
+    assert report.ratio == 4 * table.values.size / report.bytes
+    # re-integrates to the stored albedo, nothing negative
+    total = np.einsum("irpc,rp->ic", decoded.values, decoded.projected_solid_angles) + decoded.specular
+    np.testing.assert_allclose(total, table.albedo, rtol=1e-12)
+    assert report.albedo_error < 1e-12
+    assert decoded.values.min() >= 0
+
+
+def test_looser_bounds_are_smaller(tmp_path):
+    table = make(ggx(0.3, 0.9), EDGES)
+    sizes = [compress(table, tmp_path / "c.h5", e).bytes for e in (1e-4, 1e-3, 1e-2, 1e-1)]
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[0] > 1.5 * sizes[-1]
+
+
+def test_noise_is_not_followed(tmp_path):
+    """Rows noisier than the bound are held to their noise, and come closer to the truth than they were."""
+    rng = np.random.default_rng(seed_from("compress noise"))
+    truth = make(ggx(0.5, 0.9), EDGES, tint=(1.0,), cell_points=2)
+    table = poisson(ggx(0.5, 0.9), rng, 3e5, EDGES)
+    report = compress(table, tmp_path / "c.h5", 0.01)
+    assert report.noise_median > 0.1
+    decoded = Table.load(tmp_path / "c.h5")
+    assert np.all(row_errors(table, decoded.values) <= np.maximum(0.01, row_noise(table)) * (1 + 1e-9))
+    assert np.median(row_errors(truth, decoded.values)) < 0.8 * np.median(row_errors(truth, table.values))
+    exact = compress(table.replace(std_error=None), tmp_path / "exact.h5", 0.01)
+    assert exact.noise_worst == 0
+    assert exact.bytes > 2 * report.bytes
+
+
+def test_noise_is_measured_in_the_error_measure():
+    """The table's scatter about the truth is what its error bars say, row by row."""
+    rng = np.random.default_rng(seed_from("row noise"))
+    truth = make(ggx(0.5, 0.9), EDGES, tint=(1.0,), cell_points=2)
+    table = poisson(ggx(0.5, 0.9), rng, 3e6, EDGES)
+    ratio = row_errors(table, truth.values) / row_noise(table)
+    # 1350 cells a row, but a few bright ones can dominate: 10 % a row, less on average
+    assert np.median(ratio) == pytest.approx(1, abs=0.05)
+
+
+def test_everything_else_is_kept(tmp_path):
+    table = make(asymmetric, EDGES, specular=0.1)
+    gaps = np.zeros(table.values.shape[:3], bool)
+    gaps[3, 4:9] = True
+    values = np.where(gaps[..., None], 0.0, table.values)
+    table = table.replace(
+        values=values,
+        gaps=gaps,
+        hits=np.ones(gaps.shape, int),
+        ledger={"paths": 5.0},
+        provenance={"seed": 7},
+        wavelengths_nm=(630.0, 532.0, 467.0),
+    )
+    compress(table, tmp_path / "c.h5")
+    decoded = Table.load(tmp_path / "c.h5")
+    for name in (
+        "theta_i",
+        "theta_i_edges",
+        "theta_r_edges",
+        "delta_phi_edges",
+        "albedo",
+        "specular",
+        "gaps",
+    ):
+        np.testing.assert_array_equal(getattr(decoded, name), getattr(table, name))
+    assert decoded.channels == table.channels
+    assert decoded.wavelengths_nm == table.wavelengths_nm
+    assert decoded.ledger == table.ledger
+    assert decoded.hits is None
+    assert np.all(decoded.values[gaps] == 0)
+    assert decoded.provenance["seed"] == 7
+    assert decoded.provenance["compression"]["max_error"] == 0.01
+
+
+def test_compressed_table_saves_like_any_other(tmp_path):
+    compress(make(ggx(0.5, 0.9), EDGES), tmp_path / "c.h5")
+    decoded = Table.load(tmp_path / "c.h5")
+    decoded.save(tmp_path / "plain.h5")
+    np.testing.assert_array_equal(Table.load(tmp_path / "plain.h5").values, decoded.values)
+
+
+def test_dark_constant_and_small_tables(tmp_path):
+    path = tmp_path / "c.h5"
+    for table in (
+        make(lambda wi, wo: 0 * lambert(wi, wo), EDGES),
+        make(lambert, EDGES),
+        make(asymmetric, EDGES, theta_i=np.array([0.7])),
+        make(lambert, grid(1, 1, 1)),
+        make(asymmetric, EDGES, tint=(1.0, 0.0, 0.5)),
+    ):
+        report = compress(table, path)
+        assert report.error_worst <= 0.01
+        np.testing.assert_allclose(
+            Table.load(path).directional_albedo(0.7), table.directional_albedo(0.7), atol=1e-12
+        )
+
+
+def test_metric_of_a_cosine_power():
+    """For f = 1 the squared norm is int cos^2 dOmega over the half space of delta phi: pi/3."""
+    weights = cosine_weights(EDGES[1], EDGES[2])
+    assert np.sum(weights**2) == pytest.approx(np.pi / 3)
+
+
+def test_bad_arguments(tmp_path):
+    table = make(lambert, grid(2, 2, 2))
+    for bad in (0.0, -1.0, 2.0, float("nan")):
+        with pytest.raises(InputError, match="max_error"):
+            compress(table, tmp_path / "c.h5", bad)
+    with pytest.raises(InputError, match=r"suffix must be \.h5"):
+        compress(table, tmp_path / "c.binary")
+    with pytest.raises(InputError, match="allowed are dct"):
+        compress(table, tmp_path / "c.h5", method="zip")
+    assert list(tmp_path.iterdir()) == []
+
+
+def replace(name, data):
+    def action(group):
+        del group[name]
+        group[name] = data
+
+    return action
+
+
+DAMAGE = {
+    "method": (lambda g: g.attrs.__setitem__("method", "wavelet"), "method 'wavelet' is unknown"),
+    "no method": (lambda g: g.attrs.__delitem__("method"), "method None is unknown"),
+    "no step": (lambda g: g.attrs.__delitem__("step"), "damaged content"),
+    "count": (lambda g: g.attrs.__setitem__("count", 10**12), "damaged content"),
+    "scale": (replace("scale", np.ones((2, 2), "f4")), "damaged content"),
+    "nan": (replace("scale", np.full((30, 3), np.nan, "f4")), "damaged content"),
+    "zeros": (replace("zeros", np.zeros(50, np.uint8)), "damaged content"),
+    "coefficients": (replace("coefficients", np.zeros(50, np.uint8)), "damaged content"),
+    "missing": (lambda g: g.__delitem__("zeros"), "damaged content"),
+    "text": (replace("zeros", "hello"), "zeros holds"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_damaged_content(tmp_path, name):
+    path = tmp_path / "c.h5"
+    compress(make(ggx(0.5, 0.9), EDGES), path)
+    damage, message = DAMAGE[name]
+    with h5py.File(path, "r+") as file:
+        damage(file["compressed"])
+    with pytest.raises(InputError, match=message) as caught:
+        Table.load(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_method_is_replaceable(tmp_path, monkeypatch):
+    """Another method is one entry: here one that stores the values as they are."""
+
+    class Plain:
+        @staticmethod
+        def encode(table, bound):
+            return {"raw": table.values}
+
+        @staticmethod
+        def decode(content, fields):
+            return content["raw"]
+
+    monkeypatch.setitem(METHODS, "plain", Plain)
+    assert compress(make(ggx(0.5, 0.9), EDGES), tmp_path / "c.h5", method="plain").error_worst == 0
+
+
+def test_a_method_that_breaks_its_promise_leaves_no_file(tmp_path, monkeypatch):
+    class Wrong:
+        @staticmethod
+        def encode(table, bound):
+            return {"raw": 1.02 * table.values}
+
+        @staticmethod
+        def decode(content, fields):
+            return content["raw"]
+
+    monkeypatch.setitem(METHODS, "wrong", Wrong)
+    with pytest.raises(RuntimeError, match="exceeds its bound"):
+        compress(make(ggx(0.5, 0.9), EDGES), tmp_path / "c.h5", method="wrong")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,61 @@
+"""Single paths at a fixed azimuth, for tests that know where each must go."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gonio.core.directions import direction
+from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, PACKET_WIDTH, new_packet
+from gonio.core.jit import kernel
+from gonio.trace.scene import TraceScene, pack_optics
+from gonio.trace.transport import start_packet, trace_packet
+
+
+@kernel
+def _trace(embree, box, eta_k, albedo, wi, side, max_bounces, seed, exits, weight, bounces, status, absorbed):
+    packet = new_packet()
+    dx, dy = box.width_x / (4 * side), box.width_y / (4 * side)
+    for k in range(side * side):
+        i, j = k // side, k % side
+        path = 16 * k
+        start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, 0, path)
+        lanes = slice(path, path + PACKET_WIDTH)
+        trace_packet(
+            embree, box, True, packet, eta_k, albedo, max_bounces, seed, 0, path,
+            weight[lanes], bounces[lanes], status[lanes], absorbed,
+        )  # fmt: skip
+        for lane in range(PACKET_WIDTH):
+            exits[path + lane, 0] = packet[DIR_X, lane]
+            exits[path + lane, 1] = packet[DIR_Y, lane]
+            exits[path + lane, 2] = packet[DIR_Z, lane]
+
+
+class Paths:
+    """Paths from one direction (azimuth 0: light in the xz plane, from +x), stratified over the tile."""
+
+    def __init__(self, tile, material, theta_i_deg, side=32, seed=0, max_bounces=64):
+        scene = TraceScene(tile)
+        optics = pack_optics(material)
+        channels = 1
+        for field in optics:
+            channels = channels if field is None else len(field)
+        n = 16 * side * side
+        self.exits = np.zeros((n, 3))
+        self.weight = np.zeros((n, channels))
+        self.bounces = np.zeros(n, np.int64)
+        self.status = np.zeros(n, np.int64)
+        self.absorbed = np.zeros(channels)
+        wi = tuple(direction(np.radians(theta_i_deg)).tolist())
+        _trace(
+            scene.embree, scene.box, *optics, wi, side, max_bounces, seed,
+            self.exits, self.weight, self.bounces, self.status, self.absorbed,
+        )  # fmt: skip
+
+    @property
+    def theta_r_deg(self):
+        """Signed angle in the xz plane, negative on the source's side (x > 0)."""
+        return np.degrees(np.arctan2(-self.exits[:, 0], self.exits[:, 2]))
+
+    def fraction(self, bounces, theta_r_deg):
+        """Fraction of paths that left after so many bounces at this angle, to a hundredth of a degree."""
+        return np.mean((self.bounces == bounces) & (abs(self.theta_r_deg - theta_r_deg) < 0.01))
