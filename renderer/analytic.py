@@ -22,7 +22,7 @@ class Lobes(NamedTuple):
     weight: np.ndarray  # (K, 7): RGB of the first term, RGB of the second, chance among the model's lobes
 
 
-@kernel
+@kernel(allocates=False)
 def analytic_evaluate(lobes, first, count, wi, wo):
     """As `renderer.materials.evaluate`, for lobes [first, first + count)."""
     red, green, blue, density = 0.0, 0.0, 0.0, 0.0
@@ -36,7 +36,7 @@ def analytic_evaluate(lobes, first, count, wi, wo):
     return red * wi[2], green * wi[2], blue * wi[2], density
 
 
-@kernel
+@kernel(allocates=False)
 def analytic_sample(lobes, first, count, wo, u0, u1, u2):
     """As `renderer.materials.sample`, `wo` above the horizon."""
     k = first

@@ -47,7 +47,7 @@ class Geometry(NamedTuple):
     quadric: np.ndarray  # (Q, 8): centre, radius, orientation; disks: normal
 
 
-@kernel
+@kernel(allocates=False)
 def nearest_quadric(geometry, origin, direction, t_max):
     """Nearest sphere or disk before `t_max`: (distance, index), index -1 for none."""
     q = geometry.quadric
@@ -79,7 +79,7 @@ def nearest_quadric(geometry, origin, direction, t_max):
     return t_max, found
 
 
-@kernel
+@kernel(allocates=False)
 def surface(geometry, packet, lane, i_quadric):
     """What a lane of the packet hit.
 
@@ -153,7 +153,7 @@ def surface(geometry, packet, lane, i_quadric):
     return mesh, point, normal, (x, y, z), t
 
 
-@kernel
+@kernel(allocates=False)
 def offset(geometry, shape, point, normal, direction, distance):
     """Where a ray in `direction` starts so that it does not, in float32, hit the surface it leaves."""
     reach = max(abs(point[0]), max(abs(point[1]), abs(point[2])))

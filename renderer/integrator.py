@@ -32,7 +32,6 @@ from gonio.core.embree import (
 )
 from gonio.core.jit import kernel
 from gonio.core.philox import uniforms
-from renderer.borrowing import borrow
 from renderer.environment import environment_radiance
 from renderer.geometry import Geometry, nearest_quadric, offset, surface
 from renderer.lights import Lights, area_density, sample_light
@@ -68,7 +67,7 @@ class World(NamedTuple):
     limits: np.ndarray  # int64 (3,): longest path in segments, segment of the first roulette, MIS or not
 
 
-@kernel
+@kernel(allocates=False)
 def _aim(packet, lane, origin, direction, t_far):
     """Make a lane ready for the next call of Embree."""
     ids = packet.view(np.int32)
@@ -80,7 +79,7 @@ def _aim(packet, lane, origin, direction, t_far):
     ids[VALID, lane] = -1
 
 
-@kernel
+@kernel(allocates=False)
 def _ray(packet, lane):
     """Origin and direction of a lane, as Embree sees them."""
     origin = (
@@ -96,7 +95,7 @@ def _ray(packet, lane):
     return origin, direction
 
 
-@kernel
+@kernel(allocates=False)
 def _camera_ray(view, x, y, u):
     """Origin and direction through pixel (x, y) at the position and lens point that `u` draws."""
     m = view.to_world
@@ -122,7 +121,7 @@ def _camera_ray(view, x, y, u):
     )
 
 
-@kernel
+@kernel(allocates=False)
 def _trace(geometry, packet, quadrics, coherent):
     """Nearest hits of the packet's valid lanes; `quadrics` gets the sphere or disk Embree was cut off at."""
     ids = packet.view(np.int32)
@@ -138,7 +137,7 @@ def _trace(geometry, packet, quadrics, coherent):
         intersect16(geometry.handle, packet, coherent)
 
 
-@kernel
+@kernel(allocates=False)
 def _heuristic(density, other, strategy, preferred):
     """Weight of a sample of `density` that the other strategy draws with density `other`; 0 stands for a
     delta, which only one of the two can draw. Strategy 0 combines, 1 trusts materials, 2 trusts lights.
@@ -151,14 +150,14 @@ def _heuristic(density, other, strategy, preferred):
     return 1.0 if strategy == preferred else 0.0
 
 
-@kernel
+@kernel(allocates=False)
 def _add(state, lane, first, red, green, blue):
     state[lane, first] += red
     state[lane, first + 1] += green
     state[lane, first + 2] += blue
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=False)
 def _arrive(world, packet, lane, state, hit, segment):
     """Add the light that shines from where a lane ended up."""
     lights = world.lights
@@ -185,7 +184,7 @@ def _arrive(world, packet, lane, state, hit, segment):
     )
 
 
-@kernel
+@kernel(allocates=False)
 def _to_local(s, t, n, v):
     return (
         s[0] * v[0] + s[1] * v[1] + s[2] * v[2],
@@ -194,7 +193,7 @@ def _to_local(s, t, n, v):
     )
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=False)
 def _light_up(world, shadows, pending, lane, state, hit, wo, u, memory):
     """Draw a light and, if it would matter, aim the lane's shadow ray at it. Returns whether it was aimed."""
     shape, point, normal, shading, distance = hit
@@ -217,7 +216,7 @@ def _light_up(world, shadows, pending, lane, state, hit, wo, u, memory):
     return True
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=False)
 def _go_on(world, packet, lane, state, hit, wo, u, segment, memory):
     """Draw the path's next direction and aim the lane in it. Returns whether the path goes on."""
     shape, point, normal, shading, distance = hit
@@ -245,7 +244,7 @@ def _go_on(world, packet, lane, state, hit, wo, u, segment, memory):
     return True
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=False)
 def _shadow(geometry, shadows, quadrics, state, pending):
     """Trace the shadow rays and add the light of those that met nothing."""
     ids = shadows.view(np.int32)
@@ -258,7 +257,7 @@ def _shadow(geometry, shadows, quadrics, state, pending):
         ids[VALID, lane] = 0
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=False)
 def _follow(world, scratch, seed, i_sample):
     """Follow the packet's paths to their ends; returns how many rays that took."""
     packet, shadows, quadrics, pixels, state, pending, memory = scratch
@@ -326,7 +325,7 @@ def new_scratch() -> Scratch:
     )
 
 
-@kernel
+@kernel(allocates=False)
 def render_blocks(world, film, scratch, first, last, first_sample, last_sample, seed):
     """Add samples [first_sample, last_sample) of every pixel in blocks [first, last) to the film.
 
@@ -344,7 +343,6 @@ def render_blocks(world, film, scratch, first, last, first_sample, last_sample, 
     tuple of 2 int
         Rays traced, and samples dropped because they were not finite.
     """
-    world, film, scratch = borrow(world), borrow(film), borrow(scratch)
     packet, pixels, state = scratch.packet, scratch.pixels, scratch.state
     sums, squares = film
     ids = packet.view(np.int32)

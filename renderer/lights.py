@@ -37,14 +37,14 @@ class Lights(NamedTuple):
     environment: Environment
 
 
-@kernel
+@kernel(allocates=False)
 def sphere_density(distance2, radius2):
     """Density in 1/sr of a direction uniform in the cone a sphere fills, from outside it."""
     sine2 = radius2 / distance2
     return (1.0 + math.sqrt(1.0 - sine2)) / (2.0 * math.pi * sine2)
 
 
-@kernel
+@kernel(allocates=False)
 def area_density(lights, light, origin, distance2, cosine):
     """Density in 1/sr with which `sample_light` draws a point of area light `light`, seen from `origin`.
 
@@ -66,7 +66,7 @@ def area_density(lights, light, origin, distance2, cosine):
     return distance2 / (cosine * lights.area[light] * n_lights)
 
 
-@kernel
+@kernel(allocates=False)
 def _sample_cone(data, p, x, y, z, centre2, u1, u2):
     """Point of sphere `p` in a direction uniform in the cone it fills: (direction, distance)."""
     radius2 = data[p, 3] * data[p, 3]
@@ -87,7 +87,7 @@ def _sample_cone(data, p, x, y, z, centre2, u1, u2):
     return direction, centre * cosine - math.sqrt(max(0.0, radius2 - centre2 * sine2))
 
 
-@kernel
+@kernel(allocates=False)
 def _area_point(lights, p, u1, u2):
     """Point uniform on primitive `p` and the normal there: (point, normal)."""
     data = lights.data
@@ -113,7 +113,7 @@ def _area_point(lights, p, u1, u2):
     return point, (data[p, 9], data[p, 10], data[p, 11])
 
 
-@kernel
+@kernel(allocates=False)
 def sample_light(lights, origin, u0, u1, u2, u3):
     """A direction from `origin` towards a light, drawn at random.
 

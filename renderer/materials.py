@@ -37,7 +37,7 @@ class Materials(NamedTuple):
     lobes: Lobes
 
 
-@kernel
+@kernel(allocates=False)
 def conductor_reflectance(values, m, cosine):
     """Fresnel reflectance of conductor `m`, unpolarised, times its colour: (red, green, blue)."""
     s, p = fresnel_conductor(cosine, values[m, 0], values[m, 3])
@@ -48,13 +48,13 @@ def conductor_reflectance(values, m, cosine):
     return red, green, 0.5 * (s + p) * values[m, 8]
 
 
-@kernel
+@kernel(allocates=False)
 def _dielectric_reflectance(cosine, eta):
     s, p = fresnel_dielectric(cosine, eta)
     return 0.5 * (s + p)
 
 
-@kernel
+@kernel(allocates=False)
 def _plastic_diffuse(values, m, cos_i, cos_o):
     """Diffuse part of plastic over Lambert's 1/pi: light that entered, scattered inside and left again."""
     eta = values[m, 0]
@@ -72,7 +72,7 @@ def _plastic_diffuse(values, m, cos_i, cos_o):
     return through * red, through * green, through * blue
 
 
-@kernel
+@kernel(allocates=False)
 def _plastic_mirror_chance(values, m, cos_o):
     """Chance to follow plastic's mirror reflection rather than its diffuse part."""
     mirror = _dielectric_reflectance(cos_o, values[m, 0])
@@ -80,7 +80,7 @@ def _plastic_mirror_chance(values, m, cos_o):
     return mirror * weight / (mirror * weight + (1.0 - mirror) * (1.0 - weight))
 
 
-@kernel
+@kernel(allocates=False)
 def evaluate(materials, m, wi, wo, memory):
     """BRDF times cos(theta_i) of material `m` without mirror terms, and the density of `wi`.
 
@@ -120,7 +120,7 @@ def evaluate(materials, m, wi, wo, memory):
     return 0.0, 0.0, 0.0, 0.0
 
 
-@kernel
+@kernel(allocates=False)
 def sample(materials, m, wo, u0, u1, u2, memory):
     """Draw a direction `wi` to go on in.
 
@@ -145,7 +145,7 @@ def sample(materials, m, wo, u0, u1, u2, memory):
     return wi, red, green, blue, density
 
 
-@kernel
+@kernel(allocates=False)
 def _sample_upper(materials, m, wo, u0, u1, u2, memory):
     kind = materials.kind[m]
     values = materials.values
@@ -176,7 +176,7 @@ def _sample_upper(materials, m, wo, u0, u1, u2, memory):
     return wi, red / density, green / density, blue / density, density
 
 
-@kernel
+@kernel(allocates=False)
 def _sample_dielectric(values, m, wo, u):
     """Reflect or refract with the chance of Fresnel's reflectance; radiance grows with the index squared."""
     cos_o = abs(wo[2])

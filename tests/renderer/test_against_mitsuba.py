@@ -31,7 +31,8 @@ LIGHTS = {
       <rgb name="intensity" value="6,4,3"/></emitter>""",
     "directional": """<emitter type="directional"><vector name="direction" x="1" y="-1" z="-0.6"/>
       <rgb name="irradiance" value="0.2,0.3,0.6"/></emitter>""",
-    "area": """<shape type="rectangle"><transform name="to_world"><scale x="0.8" y="0.5"/>
+    "area": """<shape type="rectangle"><transform name="to_world">
+      <scale x="0.8" y="0.5"/>
       <lookat origin="2.5, 3, 2" target="0,0,0"/></transform>
       <emitter type="area"><rgb name="radiance" value="5,5,4"/></emitter></shape>""",
 }
@@ -42,7 +43,8 @@ SCENE = """<scene version="3.0.0">
     <film type="hdrfilm"><integer name="width" value="48"/><integer name="height" value="32"/>
       <rfilter type="box"/></film></sensor>
   LIGHT
-  <shape type="rectangle"><transform name="to_world"><rotate x="1" angle="-90"/><scale value="10"/></transform>
+  <shape type="rectangle">
+    <transform name="to_world"><rotate x="1" angle="-90"/><scale value="10"/></transform>
     <bsdf type="diffuse"><rgb name="reflectance" value="0.4,0.5,0.3"/></bsdf></shape>
   <shape type="sphere"><point name="center" x="0" y="1" z="0"/><bsdf type="roughconductor">
     <rgb name="eta" value="0.18,0.42,1.37"/><rgb name="k" value="3.4,2.3,1.77"/>
