@@ -51,7 +51,7 @@ def _pair(scaled, small, large, threshold, other):
             n_small += 1
 
 
-@kernel
+@kernel(allocates=False)
 def draw(threshold, other, first, count, u):
     """Index within [first, first + count) of tables laid end to end, from one uniform number.
 

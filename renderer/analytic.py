@@ -1,4 +1,4 @@
-"""Fitted and hand-written models as materials: a sum of lobes, drawn from as a mixture with its exact density.
+"""Fitted and hand-written models as materials: sums of lobes, drawn from as a mixture of exact density.
 
 A lobe is chosen in proportion to its coefficients, the direction from it; the density is that of all
 lobes together. Lobes are drawn from for light that comes from the camera's side: they are reciprocal.
@@ -22,7 +22,7 @@ class Lobes(NamedTuple):
     weight: np.ndarray  # (K, 7): RGB of the first term, RGB of the second, chance among the model's lobes
 
 
-@kernel
+@kernel(allocates=False)
 def analytic_evaluate(lobes, first, count, wi, wo):
     """As `renderer.materials.evaluate`, for lobes [first, first + count)."""
     red, green, blue, density = 0.0, 0.0, 0.0, 0.0
@@ -36,7 +36,7 @@ def analytic_evaluate(lobes, first, count, wi, wo):
     return red * wi[2], green * wi[2], blue * wi[2], density
 
 
-@kernel
+@kernel(allocates=False)
 def analytic_sample(lobes, first, count, wo, u0, u1, u2):
     """As `renderer.materials.sample`, `wo` above the horizon."""
     k = first

@@ -19,7 +19,9 @@ from renderer.render import render
 
 @click.command("render")
 @click.argument("scene_path", metavar="SCENE.xml", type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="EXR; a PNG goes beside it.")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), help="EXR; a PNG goes beside it."
+)
 @click.option("--spp", type=int, help="Samples a pixel; the scene's sample_count by default.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Another seed, other noise.")
 @click.option("--threads", type=int, help="All cores by default; the picture does not depend on it.")
@@ -50,7 +52,8 @@ def render_command(
     short = f" of {wanted}, interrupted" if facts["spp"] < wanted else ""
     click.echo(
         f"{output}: {scene.camera.width} x {scene.camera.height}, {facts['spp']} spp{short}, "
-        f"{facts['seconds']:.1f} s, {facts['paths_per_second'] / 1e6:.2f} M paths/s, noise {100 * image.noise:.2g} %"
+        f"{facts['seconds']:.1f} s, {facts['paths_per_second'] / 1e6:.2f} M paths/s, "
+        f"noise {100 * image.noise:.2g} %"
     )
 
 

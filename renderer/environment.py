@@ -49,7 +49,9 @@ def pack_environment(environment: Description | None) -> Environment:
     if radiance.ndim != 3 or radiance.shape[2] != 3 or 0 in radiance.shape:
         raise InputError(f"environment: the map has shape {radiance.shape}; (height, width, 3) is needed")
     if not np.all(np.isfinite(radiance)) or radiance.min() < 0:
-        raise InputError("environment: the map has negative or non-finite pixels; radiance is finite and >= 0")
+        raise InputError(
+            "environment: the map has negative or non-finite pixels; radiance is finite and >= 0"
+        )
     if len(radiance) == 1:
         radiance = np.repeat(radiance, 2, axis=0)
     height, width = radiance.shape[:2]
@@ -79,7 +81,7 @@ def _rotation(to_world: Array) -> Array:
     return linear / size
 
 
-@kernel
+@kernel(allocates=False)
 def _position(environment, direction):
     """Column and row of a direction, in pixels, and its cell: (x, y, column, row)."""
     m = environment.to_local
@@ -94,7 +96,7 @@ def _position(environment, direction):
     return u, v, min(int(u), width - 1), min(int(v), height - 2)
 
 
-@kernel
+@kernel(allocates=False)
 def environment_radiance(environment, direction):
     """Radiance from `direction` (world, away from the scene) and density with which it is drawn.
 
@@ -118,7 +120,7 @@ def environment_radiance(environment, direction):
     return red, green, blue, np.float64(environment.density[row * width + column])
 
 
-@kernel
+@kernel(allocates=False)
 def sample_environment(environment, u0, u1, u2):
     """Direction towards the environment, drawn with the density `environment_radiance` gives."""
     m = environment.to_local

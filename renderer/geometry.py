@@ -47,7 +47,7 @@ class Geometry(NamedTuple):
     quadric: np.ndarray  # (Q, 8): centre, radius, orientation; disks: normal
 
 
-@kernel
+@kernel(allocates=False)
 def nearest_quadric(geometry, origin, direction, t_max):
     """Nearest sphere or disk before `t_max`: (distance, index), index -1 for none."""
     q = geometry.quadric
@@ -79,7 +79,7 @@ def nearest_quadric(geometry, origin, direction, t_max):
     return t_max, found
 
 
-@kernel
+@kernel(allocates=False)
 def surface(geometry, packet, lane, i_quadric):
     """What a lane of the packet hit.
 
@@ -99,7 +99,11 @@ def surface(geometry, packet, lane, i_quadric):
     """
     ids = packet.view(np.int32)
     t = np.float64(packet[T_FAR, lane])
-    dx, dy, dz = np.float64(packet[DIR_X, lane]), np.float64(packet[DIR_Y, lane]), np.float64(packet[DIR_Z, lane])
+    dx, dy, dz = (
+        np.float64(packet[DIR_X, lane]),
+        np.float64(packet[DIR_Y, lane]),
+        np.float64(packet[DIR_Z, lane]),
+    )
     point = (packet[ORG_X, lane] + t * dx, packet[ORG_Y, lane] + t * dy, packet[ORG_Z, lane] + t * dz)
     mesh = np.int64(ids[GEOM_ID, lane])
     if mesh == MISS:
@@ -149,9 +153,9 @@ def surface(geometry, packet, lane, i_quadric):
     return mesh, point, normal, (x, y, z), t
 
 
-@kernel
+@kernel(allocates=False)
 def offset(geometry, shape, point, normal, direction, distance):
-    """Where a ray in `direction` starts so that it does not hit the surface it leaves, to float32's accuracy."""
+    """Where a ray in `direction` starts so that it does not, in float32, hit the surface it leaves."""
     reach = max(abs(point[0]), max(abs(point[1]), abs(point[2])))
     step = 1e-6 * (geometry.extent[shape] + reach + distance)
     if direction[0] * normal[0] + direction[1] * normal[1] + direction[2] * normal[2] < 0.0:

@@ -62,7 +62,9 @@ class Image:
             layers = {"RGB": self.pixels, _ERROR: np.minimum(self.std_error, np.finfo(np.float32).max)}
             write_exr(path, layers, self.provenance)
         else:
-            raise InputError(f"{path}: images are written as .exr or .png, not {suffix or 'without suffix'!r}")
+            raise InputError(
+                f"{path}: images are written as .exr or .png, not {suffix or 'without suffix'!r}"
+            )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Image:

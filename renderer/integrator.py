@@ -1,4 +1,4 @@
-"""The path tracer: unidirectional, light and BRDF sampling combined by the power heuristic (Veach 1997, 9.2.4).
+"""The path tracer: light and BRDF sampling combined by the power heuristic (Veach 1997, 9.2.4).
 
 Paths go in packets of 16, one sample each of a block of 4 x 4 pixels. Random numbers are keyed by
 (seed, pixel) and counted by (sample, segment, use), and every pixel belongs to one block and takes its
@@ -32,11 +32,13 @@ from gonio.core.embree import (
 )
 from gonio.core.jit import kernel
 from gonio.core.philox import uniforms
-from renderer.borrowing import borrow
 from renderer.environment import environment_radiance
 from renderer.geometry import Geometry, nearest_quadric, offset, surface
 from renderer.lights import Lights, area_density, sample_light
 from renderer.materials import Materials, evaluate, sample
+
+# The kernels below that take the whole World are inlined where they are called, once each: by value it is
+# some 400 words, and copying it doubled the time of a path.
 
 BLOCK = 4
 _NO_HIT = np.float32(np.inf)
@@ -65,7 +67,7 @@ class World(NamedTuple):
     limits: np.ndarray  # int64 (3,): longest path in segments, segment of the first roulette, MIS or not
 
 
-@kernel
+@kernel(allocates=False)
 def _aim(packet, lane, origin, direction, t_far):
     """Make a lane ready for the next call of Embree."""
     ids = packet.view(np.int32)
@@ -77,15 +79,23 @@ def _aim(packet, lane, origin, direction, t_far):
     ids[VALID, lane] = -1
 
 
-@kernel
+@kernel(allocates=False)
 def _ray(packet, lane):
     """Origin and direction of a lane, as Embree sees them."""
-    origin = (np.float64(packet[ORG_X, lane]), np.float64(packet[ORG_Y, lane]), np.float64(packet[ORG_Z, lane]))
-    direction = (np.float64(packet[DIR_X, lane]), np.float64(packet[DIR_Y, lane]), np.float64(packet[DIR_Z, lane]))
+    origin = (
+        np.float64(packet[ORG_X, lane]),
+        np.float64(packet[ORG_Y, lane]),
+        np.float64(packet[ORG_Z, lane]),
+    )
+    direction = (
+        np.float64(packet[DIR_X, lane]),
+        np.float64(packet[DIR_Y, lane]),
+        np.float64(packet[DIR_Z, lane]),
+    )
     return origin, direction
 
 
-@kernel
+@kernel(allocates=False)
 def _camera_ray(view, x, y, u):
     """Origin and direction through pixel (x, y) at the position and lens point that `u` draws."""
     m = view.to_world
@@ -96,7 +106,11 @@ def _camera_ray(view, x, y, u):
     if radius > 0.0:
         r, phi = radius * math.sqrt(u[2]), 2.0 * math.pi * u[3]
         s, t = r * math.cos(phi), r * math.sin(phi)
-        ox, oy, oz = ox + s * m[0, 0] + t * m[0, 1], oy + s * m[1, 0] + t * m[1, 1], oz + s * m[2, 0] + t * m[2, 1]
+        ox, oy, oz = (
+            ox + s * m[0, 0] + t * m[0, 1],
+            oy + s * m[1, 0] + t * m[1, 1],
+            oz + s * m[2, 0] + t * m[2, 1],
+        )
         a, b = a - s / focus, b - t / focus
     scale = 1.0 / math.sqrt(a * a + b * b + 1.0)
     a, b = a * scale, b * scale
@@ -107,7 +121,7 @@ def _camera_ray(view, x, y, u):
     )
 
 
-@kernel
+@kernel(allocates=False)
 def _trace(geometry, packet, quadrics, coherent):
     """Nearest hits of the packet's valid lanes; `quadrics` gets the sphere or disk Embree was cut off at."""
     ids = packet.view(np.int32)
@@ -115,13 +129,15 @@ def _trace(geometry, packet, quadrics, coherent):
         for lane in range(PACKET_WIDTH):
             if ids[VALID, lane]:
                 origin, direction = _ray(packet, lane)
-                t, quadrics[lane] = nearest_quadric(geometry, origin, direction, np.float64(packet[T_FAR, lane]))
+                t, quadrics[lane] = nearest_quadric(
+                    geometry, origin, direction, np.float64(packet[T_FAR, lane])
+                )
                 packet[T_FAR, lane] = t
     if len(geometry.first_face):
         intersect16(geometry.handle, packet, coherent)
 
 
-@kernel
+@kernel(allocates=False)
 def _heuristic(density, other, strategy, preferred):
     """Weight of a sample of `density` that the other strategy draws with density `other`; 0 stands for a
     delta, which only one of the two can draw. Strategy 0 combines, 1 trusts materials, 2 trusts lights.
@@ -134,14 +150,14 @@ def _heuristic(density, other, strategy, preferred):
     return 1.0 if strategy == preferred else 0.0
 
 
-@kernel
+@kernel(allocates=False)
 def _add(state, lane, first, red, green, blue):
     state[lane, first] += red
     state[lane, first + 1] += green
     state[lane, first + 2] += blue
 
 
-@kernel
+@kernel(inline=True, allocates=False)
 def _arrive(world, packet, lane, state, hit, segment):
     """Add the light that shines from where a lane ended up."""
     lights = world.lights
@@ -168,7 +184,7 @@ def _arrive(world, packet, lane, state, hit, segment):
     )
 
 
-@kernel
+@kernel(allocates=False)
 def _to_local(s, t, n, v):
     return (
         s[0] * v[0] + s[1] * v[1] + s[2] * v[2],
@@ -177,7 +193,7 @@ def _to_local(s, t, n, v):
     )
 
 
-@kernel
+@kernel(inline=True, allocates=False)
 def _light_up(world, shadows, pending, lane, state, hit, wo, u, memory):
     """Draw a light and, if it would matter, aim the lane's shadow ray at it. Returns whether it was aimed."""
     shape, point, normal, shading, distance = hit
@@ -186,7 +202,9 @@ def _light_up(world, shadows, pending, lane, state, hit, wo, u, memory):
     direction, reach, red, green, blue, density = sample_light(world.lights, point, u[0], u[1], u[2], u[3])
     if red + green + blue <= 0.0:
         return False
-    f_red, f_green, f_blue, other = evaluate(world.materials, material, _to_local(s, t, shading, direction), wo, memory)
+    f_red, f_green, f_blue, other = evaluate(
+        world.materials, material, _to_local(s, t, shading, direction), wo, memory
+    )
     weight = _heuristic(density, other, world.limits[2], 2)
     pending[lane, 0] = weight * f_red * red * state[lane, _RED]
     pending[lane, 1] = weight * f_green * green * state[lane, _GREEN]
@@ -198,7 +216,7 @@ def _light_up(world, shadows, pending, lane, state, hit, wo, u, memory):
     return True
 
 
-@kernel
+@kernel(inline=True, allocates=False)
 def _go_on(world, packet, lane, state, hit, wo, u, segment, memory):
     """Draw the path's next direction and aim the lane in it. Returns whether the path goes on."""
     shape, point, normal, shading, distance = hit
@@ -226,7 +244,7 @@ def _go_on(world, packet, lane, state, hit, wo, u, segment, memory):
     return True
 
 
-@kernel
+@kernel(inline=True, allocates=False)
 def _shadow(geometry, shadows, quadrics, state, pending):
     """Trace the shadow rays and add the light of those that met nothing."""
     ids = shadows.view(np.int32)
@@ -239,7 +257,7 @@ def _shadow(geometry, shadows, quadrics, state, pending):
         ids[VALID, lane] = 0
 
 
-@kernel
+@kernel(inline=True, allocates=False)
 def _follow(world, scratch, seed, i_sample):
     """Follow the packet's paths to their ends; returns how many rays that took."""
     packet, shadows, quadrics, pixels, state, pending, memory = scratch
@@ -297,11 +315,17 @@ def new_scratch() -> Scratch:
     lanes = PACKET_WIDTH
     integers = np.zeros((2, lanes), np.int64)
     return Scratch(
-        new_packet(), new_packet(), integers[0], integers[1], np.zeros((lanes, 7)), np.zeros((lanes, 3)), np.zeros(3)
+        new_packet(),
+        new_packet(),
+        integers[0],
+        integers[1],
+        np.zeros((lanes, 7)),
+        np.zeros((lanes, 3)),
+        np.zeros(3),
     )
 
 
-@kernel
+@kernel(allocates=False)
 def render_blocks(world, film, scratch, first, last, first_sample, last_sample, seed):
     """Add samples [first_sample, last_sample) of every pixel in blocks [first, last) to the film.
 
@@ -319,7 +343,6 @@ def render_blocks(world, film, scratch, first, last, first_sample, last_sample, 
     tuple of 2 int
         Rays traced, and samples dropped because they were not finite.
     """
-    world, film, scratch = borrow(world), borrow(film), borrow(scratch)
     packet, pixels, state = scratch.packet, scratch.pixels, scratch.state
     sums, squares = film
     ids = packet.view(np.int32)
@@ -345,7 +368,9 @@ def render_blocks(world, film, scratch, first, last, first_sample, last_sample, 
                 x, y = x0 + lane % BLOCK, y0 + lane // BLOCK
                 if x >= width or y >= height:
                     continue
-                if not math.isfinite(state[lane, _SUM_RED] + state[lane, _SUM_GREEN] + state[lane, _SUM_BLUE]):
+                if not math.isfinite(
+                    state[lane, _SUM_RED] + state[lane, _SUM_GREEN] + state[lane, _SUM_BLUE]
+                ):
                     n_dropped += 1
                     continue
                 for c in range(3):

@@ -29,7 +29,7 @@ class Lights(NamedTuple):
     vector: np.ndarray  # (L, 3): position or direction
     area: np.ndarray  # (L,) of an area light's primitives together
     first: np.ndarray  # int64 (L,), its first primitive
-    count: np.ndarray  # int64 (L,), how many
+    n_primitives: np.ndarray  # int64 (L,)
     primitive: np.ndarray  # int64 (P,)
     data: np.ndarray  # (P, 12): a corner and two edges and normal; or centre, radius, orientation
     threshold: np.ndarray  # float32 (P,), alias tables by area within each light
@@ -37,14 +37,14 @@ class Lights(NamedTuple):
     environment: Environment
 
 
-@kernel
+@kernel(allocates=False)
 def sphere_density(distance2, radius2):
     """Density in 1/sr of a direction uniform in the cone a sphere fills, from outside it."""
     sine2 = radius2 / distance2
     return (1.0 + math.sqrt(1.0 - sine2)) / (2.0 * math.pi * sine2)
 
 
-@kernel
+@kernel(allocates=False)
 def area_density(lights, light, origin, distance2, cosine):
     """Density in 1/sr with which `sample_light` draws a point of area light `light`, seen from `origin`.
 
@@ -66,7 +66,7 @@ def area_density(lights, light, origin, distance2, cosine):
     return distance2 / (cosine * lights.area[light] * n_lights)
 
 
-@kernel
+@kernel(allocates=False)
 def _sample_cone(data, p, x, y, z, centre2, u1, u2):
     """Point of sphere `p` in a direction uniform in the cone it fills: (direction, distance)."""
     radius2 = data[p, 3] * data[p, 3]
@@ -87,7 +87,7 @@ def _sample_cone(data, p, x, y, z, centre2, u1, u2):
     return direction, centre * cosine - math.sqrt(max(0.0, radius2 - centre2 * sine2))
 
 
-@kernel
+@kernel(allocates=False)
 def _area_point(lights, p, u1, u2):
     """Point uniform on primitive `p` and the normal there: (point, normal)."""
     data = lights.data
@@ -113,7 +113,7 @@ def _area_point(lights, p, u1, u2):
     return point, (data[p, 9], data[p, 10], data[p, 11])
 
 
-@kernel
+@kernel(allocates=False)
 def sample_light(lights, origin, u0, u1, u2, u3):
     """A direction from `origin` towards a light, drawn at random.
 
@@ -147,7 +147,7 @@ def sample_light(lights, origin, u0, u1, u2, u3):
         normal = (0.0, 0.0, 0.0)
     else:
         first = lights.first[light]
-        p = draw(lights.threshold, lights.other, first, lights.count[light], u1)
+        p = draw(lights.threshold, lights.other, first, lights.n_primitives[light], u1)
         if lights.primitive[p] == SPHERE:
             data = lights.data
             x, y, z = data[p, 0] - origin[0], data[p, 1] - origin[1], data[p, 2] - origin[2]

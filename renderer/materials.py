@@ -32,12 +32,12 @@ class Materials(NamedTuple):
     two_sided: np.ndarray  # int64 (M,)
     values: np.ndarray  # (M, 12), meaning by kind: see renderer.pack_materials
     first: np.ndarray  # int64 (M,), the table in the pool, or the first lobe
-    count: np.ndarray  # int64 (M,), lobes
+    n_lobes: np.ndarray  # int64 (M,), of an analytic model
     pool: Pool
     lobes: Lobes
 
 
-@kernel
+@kernel(allocates=False)
 def conductor_reflectance(values, m, cosine):
     """Fresnel reflectance of conductor `m`, unpolarised, times its colour: (red, green, blue)."""
     s, p = fresnel_conductor(cosine, values[m, 0], values[m, 3])
@@ -48,13 +48,13 @@ def conductor_reflectance(values, m, cosine):
     return red, green, 0.5 * (s + p) * values[m, 8]
 
 
-@kernel
+@kernel(allocates=False)
 def _dielectric_reflectance(cosine, eta):
     s, p = fresnel_dielectric(cosine, eta)
     return 0.5 * (s + p)
 
 
-@kernel
+@kernel(allocates=False)
 def _plastic_diffuse(values, m, cos_i, cos_o):
     """Diffuse part of plastic over Lambert's 1/pi: light that entered, scattered inside and left again."""
     eta = values[m, 0]
@@ -63,14 +63,16 @@ def _plastic_diffuse(values, m, cos_i, cos_o):
     back = values[m, 7]
     red, green, blue = values[m, 1], values[m, 2], values[m, 3]
     if values[m, 8] != 0.0:  # nonlinear: every inner bounce takes its colour
-        return through * red / (1.0 - red * back), through * green / (1.0 - green * back), through * blue / (
-            1.0 - blue * back
+        return (
+            through * red / (1.0 - red * back),
+            through * green / (1.0 - green * back),
+            through * blue / (1.0 - blue * back),
         )
     through /= 1.0 - back
     return through * red, through * green, through * blue
 
 
-@kernel
+@kernel(allocates=False)
 def _plastic_mirror_chance(values, m, cos_o):
     """Chance to follow plastic's mirror reflection rather than its diffuse part."""
     mirror = _dielectric_reflectance(cos_o, values[m, 0])
@@ -78,7 +80,7 @@ def _plastic_mirror_chance(values, m, cos_o):
     return mirror * weight / (mirror * weight + (1.0 - mirror) * (1.0 - weight))
 
 
-@kernel
+@kernel(allocates=False)
 def evaluate(materials, m, wi, wo, memory):
     """BRDF times cos(theta_i) of material `m` without mirror terms, and the density of `wi`.
 
@@ -114,11 +116,11 @@ def evaluate(materials, m, wi, wo, memory):
     if kind == TABULATED:
         return tabulated_evaluate(materials.pool, materials.first[m], wi, wo, memory)
     if kind == ANALYTIC:
-        return analytic_evaluate(materials.lobes, materials.first[m], materials.count[m], wi, wo)
+        return analytic_evaluate(materials.lobes, materials.first[m], materials.n_lobes[m], wi, wo)
     return 0.0, 0.0, 0.0, 0.0
 
 
-@kernel
+@kernel(allocates=False)
 def sample(materials, m, wo, u0, u1, u2, memory):
     """Draw a direction `wi` to go on in.
 
@@ -143,7 +145,7 @@ def sample(materials, m, wo, u0, u1, u2, memory):
     return wi, red, green, blue, density
 
 
-@kernel
+@kernel(allocates=False)
 def _sample_upper(materials, m, wo, u0, u1, u2, memory):
     kind = materials.kind[m]
     values = materials.values
@@ -159,7 +161,7 @@ def _sample_upper(materials, m, wo, u0, u1, u2, memory):
     if kind == TABULATED:
         return tabulated_sample(materials.pool, materials.first[m], wo, u0, u1, u2, memory)
     if kind == ANALYTIC:
-        return analytic_sample(materials.lobes, materials.first[m], materials.count[m], wo, u0, u1, u2)
+        return analytic_sample(materials.lobes, materials.first[m], materials.n_lobes[m], wo, u0, u1, u2)
     if kind == PLASTIC:
         chance = _plastic_mirror_chance(values, m, wo[2])
         if u0 < chance:
@@ -174,7 +176,7 @@ def _sample_upper(materials, m, wo, u0, u1, u2, memory):
     return wi, red / density, green / density, blue / density, density
 
 
-@kernel
+@kernel(allocates=False)
 def _sample_dielectric(values, m, wo, u):
     """Reflect or refract with the chance of Fresnel's reflectance; radiance grows with the index squared."""
     cos_o = abs(wo[2])

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
+from trimesh.exchange.obj import load_obj
+from trimesh.exchange.ply import load_ply
 
 from microgeometry.errors import InputError
 from renderer.scene import Array, Mesh
@@ -27,11 +30,12 @@ def cube() -> Mesh:
 
 
 def load_mesh(path: Path, *, face_normals: bool = False) -> Mesh:
-    """Read a mesh from a file that trimesh knows (OBJ, PLY).
+    """Read an OBJ or PLY file.
 
     Parameters
     ----------
     path : Path
+        Told apart by suffix.
     face_normals : bool
         Shade flat even where the file has vertex normals.
 
@@ -43,20 +47,40 @@ def load_mesh(path: Path, *, face_normals: bool = False) -> Mesh:
     if not path.is_file():
         raise InputError(f"{path}: no such mesh file")
     try:
-        loaded = trimesh.load_mesh(path, process=False, maintain_order=True)
+        parts = _parts(path)
     except Exception as error:  # trimesh's readers raise whatever the bytes make them stumble over
         raise InputError(f"{path}: cannot be read as a mesh: {' '.join(str(error).split())}") from None
-    if isinstance(loaded, trimesh.Scene):
-        loaded = loaded.to_mesh()
-    faces = np.asarray(getattr(loaded, "faces", ()), np.int64)
-    if faces.ndim != 2 or len(faces) == 0:
+    parts = [part for part in parts if len(part.get("faces", ())) > 0]
+    if not parts:
         raise InputError(f"{path}: has no triangles; a mesh with at least one is needed")
-    vertices = np.asarray(loaded.vertices, np.float64)
-    if not np.all(np.isfinite(vertices)):
-        raise InputError(f"{path}: has vertices that are not finite")
-    # Normals the file states are in the cache; asking for vertex_normals would make some up.
-    has_normals = not face_normals and "vertex_normals" in loaded._cache
-    return Mesh(vertices, faces, np.asarray(loaded.vertex_normals, np.float64) if has_normals else None)
+    counts = np.cumsum([0, *(len(part["vertices"]) for part in parts)])
+    vertices = np.concatenate([np.asarray(part["vertices"], np.float64) for part in parts])
+    faces = np.concatenate(
+        [
+            trimesh.geometry.triangulate_quads(part["faces"]).astype(np.int64) + first
+            for part, first in zip(parts, counts, strict=False)
+        ]
+    )
+    if not np.all(np.isfinite(vertices)) or faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(f"{path}: has vertices that are not finite, or faces of vertices that do not exist")
+    normals = [part.get("vertex_normals") for part in parts]
+    if face_normals or any(
+        n is None or len(n) != len(p["vertices"]) for n, p in zip(normals, parts, strict=True)
+    ):
+        return Mesh(vertices, faces)
+    return Mesh(vertices, faces, np.concatenate(normals).astype(np.float64))
+
+
+def _parts(path: Path) -> list[dict[str, Any]]:
+    """Vertices, faces and perhaps vertex normals of a file's parts.
+
+    From trimesh's readers directly: a Trimesh object forgets whether its normals were the file's.
+    """
+    with open(path, "rb") as file:
+        if path.suffix.lower() == ".ply":
+            return [load_ply(file)]
+        content = load_obj(file, maintain_order=True, skip_materials=True)
+    return list(content["geometry"].values()) if "geometry" in content else [content]
 
 
 def transformed(mesh: Mesh, to_world: Array, *, flip: bool = False) -> Mesh:

@@ -14,7 +14,7 @@ from gonio.core.jit import kernel
 BECKMANN, GGX = 0, 1
 
 
-@kernel
+@kernel(allocates=False)
 def facet_density(cosine, alpha, distribution):
     """D(m) of Walter et al. 2007, equations 25 and 33, in 1/sr."""
     cos2 = cosine * cosine
@@ -25,7 +25,7 @@ def facet_density(cosine, alpha, distribution):
     return math.exp(-tan2 / (alpha * alpha)) / (math.pi * alpha * alpha * cos2 * cos2)
 
 
-@kernel
+@kernel(allocates=False)
 def masking(cosine, alpha, distribution):
     """Smith's G1 of a direction, exact (Beckmann's with the error function, not its rational fit)."""
     if cosine >= 1.0:
@@ -40,7 +40,7 @@ def masking(cosine, alpha, distribution):
     return 1.0 / (1.0 + 0.5 * (math.erf(a) - 1.0) + math.exp(-a * a) / (2.0 * a * math.sqrt(math.pi)))
 
 
-@kernel
+@kernel(allocates=False)
 def rough_evaluate(wi, wo, alpha, distribution):
     """BRDF times cos(theta_i), without Fresnel, its density, and the cosine at the facet.
 
@@ -67,7 +67,7 @@ def rough_evaluate(wi, wo, alpha, distribution):
     return value, d * cos_m / (4.0 * cosine), cosine
 
 
-@kernel
+@kernel(allocates=False)
 def rough_sample(wo, alpha, distribution, u0, u1):
     """A direction of reflection `wi`; it may point below the surface, where the BRDF is zero."""
     phi = 2.0 * math.pi * u0

@@ -28,7 +28,7 @@ import defusedxml
 import defusedxml.ElementTree
 import numpy as np
 
-
+from fitting.result import Fit
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 from microgeometry.indices import refractive_index
@@ -215,8 +215,6 @@ class _Loader:
 
 def _used(root: Element) -> set[str]:
     """Names that may be parameters: words after a $ anywhere."""
-
-
     texts = [value for element in root.iter() for value in element.attrib.values()]
     return {name for text in texts for name in re.findall(r"\$(\w+)", text)}
 
@@ -311,7 +309,10 @@ def _diffuse(node: Node) -> Material:
 def _conductor_values(node: Node) -> dict[str, Any]:
     values: dict[str, Any] = {"specular_reflectance": node.rgb("specular_reflectance", 1.0)}
     name = node.string("material", "none")
-    eta, k = node.take("eta", None, ("rgb", "spectrum", "float")), node.take("k", None, ("rgb", "spectrum", "float"))
+    eta, k = (
+        node.take("eta", None, ("rgb", "spectrum", "float")),
+        node.take("k", None, ("rgb", "spectrum", "float")),
+    )
     if (eta is None) != (k is None):
         raise node.error("one of eta and k is missing; both or neither are needed")
     if eta is not None:
@@ -377,8 +378,6 @@ def _plastic(node: Node) -> Material:
 
 def _analytic(node: Node) -> Material:
     path = node.file()
-    from fitting.result import Fit
-
     fit = Fit.load(path)
     _check_channels(node, len(fit.channels))
     return Material("analytic", {"fit": fit, "filename": str(path)})

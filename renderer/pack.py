@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.core import embree
 from microgeometry.errors import InputError
@@ -15,7 +16,7 @@ from renderer.geometry import Geometry
 from renderer.integrator import View, World
 from renderer.lights import AREA, DIRECTIONAL, DISK, ENVIRONMENT, POINT, SPHERE, TRIANGLE, Lights
 from renderer.pack_materials import pack_materials
-from renderer.scene import Array, Camera, DirectionalLight, Disk, Mesh, PointLight, Scene, Shape, Sphere
+from renderer.scene import Array, Camera, DirectionalLight, Disk, Mesh, PointLight, Scene, Shape
 
 STRATEGIES = {"mis": 0, "material": 1, "light": 2}
 """How paths find light: both ways combined, by the materials' samples alone, by the lights' alone."""
@@ -85,8 +86,8 @@ def _pack_geometry(
     shapes: Sequence[Shape], material: list[int], light: list[int]
 ) -> tuple[embree.Scene, Geometry]:
     scene = embree.Scene()
-    faces: list[Array] = [np.zeros((0, 3), np.int32)]
-    normals: list[Array] = [np.zeros((0, 3), np.float32)]
+    faces: list[NDArray[np.int32]] = [np.zeros((0, 3), np.int32)]
+    normals: list[NDArray[np.float32]] = [np.zeros((0, 3), np.float32)]
     first_face, smooth, is_disk, quadric, extent = [], [], [], [], []
     n_faces, n_normals = 0, 0
     for shape in shapes:
@@ -144,7 +145,9 @@ def _primitives(shape: Shape) -> tuple[int, Array, Array]:
 
 def _pack_lights(scene: Scene, shapes: Sequence[Shape]) -> tuple[Lights, list[int]]:
     kind, colour, vector, area, first, count = [], [], [], [], [], []
-    primitive, data, threshold, other = [], [np.zeros((0, 12))], [np.zeros(0, np.float32)], [np.zeros(0, np.int32)]
+    primitive: list[int] = []
+    data: list[Array] = [np.zeros((0, 12))]
+    tables = [(np.zeros(0, np.float32), np.zeros(0, np.int32))]
 
     def add(what: int, rgb: Sequence[float], where: Sequence[float] = (0, 0, 0), size: float = 0.0) -> None:
         if not (np.all(np.isfinite(rgb)) and min(rgb) >= 0):
@@ -177,9 +180,7 @@ def _pack_lights(scene: Scene, shapes: Sequence[Shape]) -> tuple[Lights, list[in
         count[-1] = len(rows)
         primitive += [what] * len(rows)
         data.append(rows)
-        table = alias_table(areas)
-        threshold.append(table[0])
-        other.append(table[1])
+        tables.append(alias_table(areas))
     lights = Lights(
         np.array(kind, np.int64),
         np.array(colour, np.float64).reshape(-1, 3),
@@ -189,8 +190,8 @@ def _pack_lights(scene: Scene, shapes: Sequence[Shape]) -> tuple[Lights, list[in
         np.array(count, np.int64),
         np.array(primitive, np.int64),
         np.concatenate(data),
-        np.concatenate(threshold),
-        np.concatenate(other),
+        np.concatenate([table[0] for table in tables]),
+        np.concatenate([table[1] for table in tables]),
         pack_environment(scene.environment),
     )
     return lights, light_of

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fitting.models.contract import SHAPE, SIZE
+from fitting.models import SHAPE, SIZE
+from fitting.result import Fit
 from gonio.core.optics import fresnel_dielectric
 from gonio.table.pool import pool_tables
 from gonio.table.table import Table
@@ -15,9 +15,6 @@ from microgeometry.errors import InputError
 from renderer.analytic import Lobes
 from renderer.materials import KINDS, Materials
 from renderer.scene import Array, Material
-
-if TYPE_CHECKING:
-    from fitting.result import Fit
 
 DISTRIBUTIONS = {"beckmann": 0.0, "ggx": 1.0}
 
@@ -159,4 +156,3 @@ _ROWS: dict[str, Callable[[Material], list[float]]] = {
     "dielectric": _dielectric,
     "plastic": _plastic,
 }
-

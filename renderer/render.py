@@ -113,7 +113,9 @@ class _Film:
         edges = np.arange(0, n_blocks + _BLOCKS_PER_TASK, _BLOCKS_PER_TASK).clip(max=n_blocks).tolist()
 
         def task(span: tuple[int, int]) -> tuple[int, int]:
-            return render_blocks(packed.world, (self.sums, self.squares), new_scratch(), *span, first, last, seed)
+            return render_blocks(
+                packed.world, (self.sums, self.squares), new_scratch(), *span, first, last, seed
+            )
 
         if first == last:
             task((0, 0))

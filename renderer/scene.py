@@ -12,12 +12,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
 RGB = tuple[float, float, float]
+
+
+def look_at(origin: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) -> Array:
+    """The transform of a camera (or light) at `origin` whose +z looks at `target`, shape (4, 4).
+
+    Raises
+    ------
+    InputError
+        `up` is parallel to the view, or `origin` is `target`.
+    """
+    origin, up = np.asarray(origin, np.float64), np.asarray(up, np.float64)
+    forward = np.asarray(target, np.float64) - origin
+    left = np.cross(up, forward)
+    if np.linalg.norm(left) <= 1e-9 * np.linalg.norm(up) * np.linalg.norm(forward):
+        raise InputError("look_at: up is parallel to the view, or origin is target; another up is needed")
+    forward, left = forward / np.linalg.norm(forward), left / np.linalg.norm(left)
+    matrix = np.eye(4)
+    matrix[:3] = np.column_stack([left, np.cross(forward, left), forward, origin])
+    return matrix
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,14 +18,14 @@ from gonio.table.pool import N_CHANNELS
 _DEFENSIVE = 0.05
 
 
-@kernel
+@kernel(allocates=False)
 def _mean(pool, t, values):
     if pool.header[t, N_CHANNELS] == 1:
         return values[0]
     return (values[0] + values[1] + values[2]) / 3.0
 
 
-@kernel
+@kernel(allocates=False)
 def mirror_chance(pool, t, cosine, values):
     """Chance to follow the delta term; leaves that term in `values`."""
     albedo_table(pool, t, cosine, values)
@@ -37,15 +37,15 @@ def mirror_chance(pool, t, cosine, values):
     return mirror / (mirror + rest)
 
 
-@kernel
+@kernel(allocates=False)
 def _density(pool, t, wi, wo, mirror):
     table = pdf_table(pool, t, wo, wi)
     return (1.0 - mirror) * ((1.0 - _DEFENSIVE) * table + _DEFENSIVE * wi[2] / math.pi)
 
 
-@kernel
+@kernel(allocates=False)
 def tabulated_evaluate(pool, t, wi, wo, values):
-    """As `renderer.materials.evaluate`, both directions above the horizon; `values` is working memory (3,)."""
+    """As `renderer.materials.evaluate`, directions above the horizon; `values` is working memory (3,)."""
     density = _density(pool, t, wi, wo, mirror_chance(pool, t, wo[2], values))
     eval_table(pool, t, wi, wo, values)
     red = values[0] * wi[2]
@@ -54,7 +54,7 @@ def tabulated_evaluate(pool, t, wi, wo, values):
     return red, values[1] * wi[2], values[2] * wi[2], density
 
 
-@kernel
+@kernel(allocates=False)
 def tabulated_sample(pool, t, wo, u0, u1, u2, values):
     """As `renderer.materials.sample`, `wo` above the horizon."""
     chance = mirror_chance(pool, t, wo[2], values)

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from microgeometry.errors import InputError
-from renderer.scene import RGB, Array
+from renderer.scene import RGB, Array, look_at
 
 VALUES = {"float", "integer", "boolean", "string", "rgb", "spectrum", "point", "vector", "transform"}
 _REQUIRED = object()
@@ -46,13 +46,16 @@ class Node:
         if "$" in text:
             known = ", ".join(sorted(self._parameters)) or "none"
             raise InputError(
-                f"{self.path}: parameter in {text!r} has no value (known: {known}); set it with -D name=value or "
-                '<default name="..." value="..."/>'
+                f"{self.path}: parameter in {text!r} has no value (known: {known}); "
+                'set it with -D name=value or <default name="..." value="..."/>'
             )
         return text
 
     def __str__(self) -> str:
-        words = [self.tag, *(f'{k}="{self.attributes[k]}"' for k in ("type", "id", "name") if k in self.attributes)]
+        words = [
+            self.tag,
+            *(f'{k}="{self.attributes[k]}"' for k in ("type", "id", "name") if k in self.attributes),
+        ]
         return f"<{' '.join(words)}>"
 
     def error(self, message: str) -> InputError:
@@ -87,7 +90,7 @@ class Node:
     def rgb(self, name: str, default: Any = _REQUIRED) -> RGB:
         """Take a colour, three numbers; a single number is grey."""
         value = self.take(name, default, ("rgb", "spectrum", "float"))
-        return value if isinstance(value, tuple) else (float(value),) * 3  # type: ignore[return-value]
+        return value if isinstance(value, tuple) else (float(value),) * 3
 
     def flag(self, name: str, default: bool = False) -> bool:
         """Take a boolean."""
@@ -138,7 +141,9 @@ class Node:
         except ValueError:
             raise self.error(f"{text!r} is not made of numbers") from None
         if len(values) not in counts or not np.all(np.isfinite(values)):
-            raise self.error(f"{text!r} has {len(values)} numbers; {' or '.join(map(str, counts))} finite ones are needed")
+            raise self.error(
+                f"{text!r} has {len(values)} numbers; {' or '.join(map(str, counts))} finite ones are needed"
+            )
         return values
 
     def value(self) -> Any:
@@ -177,7 +182,13 @@ def _xyz(node: Node, default: float) -> Array:
 def _transform(node: Node) -> Array:
     """Product of the steps of a transform; the first is applied first."""
     matrix = np.eye(4)
-    steps = {"translate": _translate, "rotate": _rotate, "scale": _scale, "lookat": _lookat, "matrix": _matrix}
+    steps = {
+        "translate": _translate,
+        "rotate": _rotate,
+        "scale": _scale,
+        "lookat": _lookat,
+        "matrix": _matrix,
+    }
     for child in node.children:
         if child.tag not in steps:
             raise node.error(f"{child} is not supported here; allowed are {', '.join(steps)}")
@@ -211,14 +222,10 @@ def _rotate(node: Node) -> Array:
 def _lookat(node: Node) -> Array:
     origin, target = (node.numbers(node.attribute(name), (3,)) for name in ("origin", "target"))
     up = node.numbers(node.attributes.get("up", "0, 1, 0"), (3,))
-    forward = target - origin
-    left = np.cross(up, forward)
-    if np.linalg.norm(left) <= 1e-9 * np.linalg.norm(up) * np.linalg.norm(forward):
-        raise node.error("up is parallel to the view, or origin is target; another up is needed")
-    forward, left = forward / np.linalg.norm(forward), left / np.linalg.norm(left)
-    matrix = np.eye(4)
-    matrix[:3] = np.column_stack([left, np.cross(forward, left), forward, origin])
-    return matrix
+    try:
+        return look_at(origin, target, up)
+    except InputError as error:
+        raise node.error(str(error)) from None
 
 
 def _matrix(node: Node) -> Array:
