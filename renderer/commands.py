@@ -87,4 +87,39 @@ def _interruptible() -> Iterator:
         signal.signal(signal.SIGINT, previous)
 
 
-COMMANDS: tuple[click.Command, ...] = (render_command,)
+@click.command()
+@click.argument("table", type=click.Path(path_type=Path))
+@click.argument("fits", metavar="[FIT.json ...]", nargs=-1, type=click.Path(path_type=Path))
+@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="The HTML file.")
+def report(table: Path, fits: tuple[Path, ...], out: Path) -> None:
+    """Write what is in a table, and how fits describe it, as one HTML page with plots."""
+    from fitting.result import Fit
+    from gonio.table.table import Table
+    from renderer.report import write_report
+
+    write_report(Table.load(table), out, {path.stem: Fit.load(path) for path in fits})
+    click.echo(f"{out}: written")
+
+
+@click.command()
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("gonio-demo"), show_default=True, help="Folder to fill."
+)
+@click.option(
+    "--specimen",
+    type=click.Path(path_type=Path),
+    help="A specimen (.toml), a mesh, or a measured height map, in place of the rough gold.",
+)
+def demo(out: Path, specimen: Path | None) -> None:
+    """Run the whole pipeline once, small: trace, check, compress, fit, render, report.
+
+    Traces a rough gold surface and a rough Lambertian one, and leaves tables, fits, pictures, plots, a
+    report of each and summary.json in a folder.
+    """
+    from renderer.demo import Demo
+
+    summary = Demo(out, specimen, click.echo).run()
+    click.echo(f"{summary['seconds']:.0f} s in all; look at {out / 'index.html'}")
+
+
+COMMANDS: tuple[click.Command, ...] = (render_command, report, demo)

@@ -32,7 +32,8 @@ class Difference:
     bias : float
         Difference of the means over the mean of the reference, signed.
     bias_std_error : float
-        Standard error of `bias`; NaN if unknown.
+        Standard error of `bias` (the channels of a pixel err together, pixels apart); NaN if unknown. It
+        knows the noise of rendering only: a measured material's own noise is part of `bias`.
     """
 
     relative_rmse: float
@@ -74,7 +75,7 @@ def compare(image: Image, reference: Image) -> Difference:
         float(np.sqrt(max(0.0, squared - noise))) if known else np.nan,
         float(np.abs(difference).sum() / total),
         float(difference.sum() / total),
-        float(np.sqrt(variance.sum()) / total) if known else np.nan,
+        float(np.sqrt(np.sum(np.sqrt(variance).sum(axis=-1) ** 2)) / total) if known else np.nan,
     )
 
 

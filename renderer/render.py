@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -10,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from gonio.core import jit
 from gonio.progress import Report
 from microgeometry.errors import InputError
 from renderer.image import Image
@@ -42,7 +42,7 @@ def render(
         Pictures of different seeds are independent; the same seed gives the same bits, whatever the
         number of threads.
     threads : int, optional
-        All cores by default (or ``NUMBA_NUM_THREADS``).
+        ``NUMBA_NUM_THREADS``, or all cores, by default.
     progress : callable, optional
         Called about every second with the fraction done and a few words.
     stop : callable, optional
@@ -63,7 +63,7 @@ def render(
     spp = scene.spp if spp is None else spp
     if not 1 <= spp < 2**31:
         raise InputError(f"spp is {spp}; at least 1 sample a pixel is needed")
-    threads = default_threads() if threads is None else threads
+    threads = jit.threads() if threads is None else threads
     if threads < 1:
         raise InputError(f"threads is {threads}; at least 1 is needed")
     packed = pack(scene, strategy)
@@ -83,17 +83,6 @@ def render(
         if stop is not None and stop():
             break
     return film.image(done, time.perf_counter() - start, seed)
-
-
-def default_threads() -> int:
-    """Threads to render with: ``NUMBA_NUM_THREADS`` if set, else every core this process may use."""
-    try:
-        return max(1, int(os.environ["NUMBA_NUM_THREADS"]))
-    except (KeyError, ValueError):
-        pass
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class _Film:

@@ -149,10 +149,10 @@ def test_dark_constant_and_small_tables(tmp_path):
         )
 
 
-def test_metric_of_a_cosine_power():
-    """For f = 1 the squared norm is int cos^2 dOmega over the half space of delta phi: pi/3."""
+def test_metric_of_a_constant():
+    """For f = 1 the squared norm is the projected solid angle of the hemisphere, pi."""
     weights = cosine_weights(EDGES[1], EDGES[2])
-    assert np.sum(weights**2) == pytest.approx(np.pi / 3)
+    assert np.sum(weights**2) == pytest.approx(np.pi)
 
 
 def test_bad_arguments(tmp_path):
