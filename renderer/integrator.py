@@ -32,6 +32,7 @@ from gonio.core.embree import (
 )
 from gonio.core.jit import kernel
 from gonio.core.philox import uniforms
+from renderer.camera import View, camera_ray
 from renderer.environment import environment_radiance
 from renderer.geometry import Geometry, nearest_quadric, offset, surface
 from renderer.lights import Lights, area_density, sample_light
@@ -46,15 +47,6 @@ _NO_HIT = np.float32(np.inf)
 _FOR_CAMERA, _FOR_LIGHT, _FOR_MATERIAL = 0, 1, 2
 # Lane state, columns of a float64 array: throughput, density of the last direction (0: mirror), radiance.
 _RED, _GREEN, _BLUE, _DENSITY, _SUM_RED, _SUM_GREEN, _SUM_BLUE = range(7)
-
-
-class View(NamedTuple):
-    """The camera as kernels take it."""
-
-    to_world: np.ndarray  # (4, 4), axes of unit length
-    tangents: np.ndarray  # (2,), of half the angles of view
-    lens: np.ndarray  # (2,), aperture radius and focus distance
-    size: np.ndarray  # int64 (2,), width and height
 
 
 class World(NamedTuple):
@@ -93,32 +85,6 @@ def _ray(packet, lane):
         np.float64(packet[DIR_Z, lane]),
     )
     return origin, direction
-
-
-@kernel(allocates=False)
-def _camera_ray(view, x, y, u):
-    """Origin and direction through pixel (x, y) at the position and lens point that `u` draws."""
-    m = view.to_world
-    a = (1.0 - 2.0 * (x + u[0]) / view.size[0]) * view.tangents[0]
-    b = (1.0 - 2.0 * (y + u[1]) / view.size[1]) * view.tangents[1]
-    ox, oy, oz = m[0, 3], m[1, 3], m[2, 3]
-    radius, focus = view.lens[0], view.lens[1]
-    if radius > 0.0:
-        r, phi = radius * math.sqrt(u[2]), 2.0 * math.pi * u[3]
-        s, t = r * math.cos(phi), r * math.sin(phi)
-        ox, oy, oz = (
-            ox + s * m[0, 0] + t * m[0, 1],
-            oy + s * m[1, 0] + t * m[1, 1],
-            oz + s * m[2, 0] + t * m[2, 1],
-        )
-        a, b = a - s / focus, b - t / focus
-    scale = 1.0 / math.sqrt(a * a + b * b + 1.0)
-    a, b = a * scale, b * scale
-    return (ox, oy, oz), (
-        a * m[0, 0] + b * m[0, 1] + scale * m[0, 2],
-        a * m[1, 0] + b * m[1, 1] + scale * m[1, 2],
-        a * m[2, 0] + b * m[2, 1] + scale * m[2, 2],
-    )
 
 
 @kernel(allocates=False)
@@ -360,7 +326,7 @@ def render_blocks(world, film, scratch, first, last, first_sample, last_sample, 
                     ids[VALID, lane] = 0
                     continue
                 u = uniforms(i_sample, 0, _FOR_CAMERA, 0, seed, pixels[lane])
-                origin, direction = _camera_ray(world.camera, x, y, u)
+                origin, direction = camera_ray(world.camera, x, y, u)
                 _aim(packet, lane, origin, direction, _NO_HIT)
                 state[lane, _RED], state[lane, _GREEN], state[lane, _BLUE] = 1.0, 1.0, 1.0
             n_rays += _follow(world, scratch, seed, i_sample)

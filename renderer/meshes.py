@@ -63,7 +63,7 @@ def load_mesh(path: Path, *, face_normals: bool = False) -> Mesh:
     )
     if not np.all(np.isfinite(vertices)) or faces.min() < 0 or faces.max() >= len(vertices):
         raise InputError(f"{path}: has vertices that are not finite, or faces of vertices that do not exist")
-    normals = [part.get("vertex_normals") for part in parts]
+    normals: list[Any] = [part.get("vertex_normals") for part in parts]
     if face_normals or any(
         n is None or len(n) != len(p["vertices"]) for n, p in zip(normals, parts, strict=True)
     ):

@@ -28,10 +28,8 @@ import defusedxml
 import defusedxml.ElementTree
 import numpy as np
 
-from fitting.result import Fit
 from gonio.table.table import Table
 from microgeometry.errors import InputError
-from microgeometry.indices import refractive_index
 from renderer.image import read_exr
 from renderer.meshes import cube, load_mesh, rectangle, transformed
 from renderer.scene import (
@@ -46,18 +44,16 @@ from renderer.scene import (
     Shape,
     Sphere,
 )
+from renderer.xml_materials import (
+    analytic,
+    check_channels,
+    conductor,
+    dielectric,
+    diffuse,
+    plastic,
+    rough_conductor,
+)
 from renderer.xml_properties import Node
-
-RGB_WAVELENGTHS_NM = (630.0, 532.0, 467.0)
-"""Where a named metal's index is looked up for red, green and blue."""
-
-_INDICES = {
-    "vacuum": 1.0, "helium": 1.000036, "hydrogen": 1.000132, "air": 1.000277, "carbon dioxide": 1.00045,
-    "water": 1.3330, "acetone": 1.36, "ethanol": 1.361, "carbon tetrachloride": 1.461, "glycerol": 1.4729,
-    "benzene": 1.501, "silicone oil": 1.52045, "bromine": 1.661, "water ice": 1.31, "fused quartz": 1.458,
-    "pyrex": 1.470, "acrylic glass": 1.49, "polypropylene": 1.49, "bk7": 1.5046, "sodium chloride": 1.544,
-    "amber": 1.55, "pet": 1.5750, "diamond": 2.419,
-}  # fmt: skip
 
 
 def load_scene(path: str | os.PathLike[str], parameters: Mapping[str, str] | None = None) -> Scene:
@@ -132,13 +128,13 @@ class _Loader:
 
     def material(self, node: Node) -> Material:
         makers: dict[str, Callable[[Node], Material]] = {
-            "diffuse": _diffuse,
-            "conductor": _conductor,
-            "roughconductor": _rough_conductor,
-            "dielectric": _dielectric,
-            "plastic": _plastic,
+            "diffuse": diffuse,
+            "conductor": conductor,
+            "roughconductor": rough_conductor,
+            "dielectric": dielectric,
+            "plastic": plastic,
             "tabulated": self.tabulated,
-            "analytic": _analytic,
+            "analytic": analytic,
             "twosided": self.two_sided,
         }
         material = _choose(node, makers)(node)
@@ -150,7 +146,7 @@ class _Loader:
         if path not in self.tables:
             self.tables[path] = Table.load(path)
         table = self.tables[path]
-        _check_channels(node, len(table.channels))
+        check_channels(node, len(table.channels))
         return Material("tabulated", {"table": table, "filename": str(path)})
 
     def two_sided(self, node: Node) -> Material:
@@ -225,11 +221,6 @@ def _choose(node: Node, makers: Mapping[str, Any]) -> Any:
     return makers[node.type]
 
 
-def _check_channels(node: Node, n: int) -> None:
-    if n not in (1, 3):
-        raise node.error(f"its file has {n} channels; one (grey) or three (red, green, blue) can be rendered")
-
-
 def _sensor(node: Node) -> tuple[Camera, int]:
     if node.type not in ("perspective", "thinlens"):
         raise node.error(f"type {node.type!r} is not supported; allowed are perspective, thinlens")
@@ -300,84 +291,3 @@ def _mesh(node: Node, mesh: Mesh) -> Mesh:
 def _mesh_file(node: Node) -> Mesh:
     node.ignore("flip_tex_coords")
     return _mesh(node, load_mesh(node.file(), face_normals=node.flag("face_normals")))
-
-
-def _diffuse(node: Node) -> Material:
-    return Material("diffuse", {"reflectance": node.rgb("reflectance", 0.5)})
-
-
-def _conductor_values(node: Node) -> dict[str, Any]:
-    values: dict[str, Any] = {"specular_reflectance": node.rgb("specular_reflectance", 1.0)}
-    name = node.string("material", "none")
-    eta, k = (
-        node.take("eta", None, ("rgb", "spectrum", "float")),
-        node.take("k", None, ("rgb", "spectrum", "float")),
-    )
-    if (eta is None) != (k is None):
-        raise node.error("one of eta and k is missing; both or neither are needed")
-    if eta is not None:
-        if name != "none":
-            raise node.error("has both a material's name and eta, k; one of them is needed")
-        values |= {"eta": eta, "k": k}
-    elif name != "none":
-        try:
-            n, k = refractive_index(name, RGB_WAVELENGTHS_NM)
-        except InputError as error:
-            raise node.error(str(error)) from None
-        values |= {"eta": tuple(n), "k": tuple(k)}
-    return values
-
-
-def _conductor(node: Node) -> Material:
-    return Material("conductor", _conductor_values(node))
-
-
-def _rough_conductor(node: Node) -> Material:
-    alpha = float(node.number("alpha", 0.1))
-    distribution = node.string("distribution", "beckmann")
-    if distribution not in ("beckmann", "ggx"):
-        raise node.error(f"distribution is {distribution!r}; allowed are beckmann, ggx")
-    if not alpha > 0:
-        raise node.error(f"alpha is {alpha}; a positive roughness is needed, or type conductor")
-    node.ignore("sample_visible")
-    return Material(
-        "rough_conductor", {**_conductor_values(node), "alpha": alpha, "distribution": distribution}
-    )
-
-
-def _relative_index(node: Node, default: str) -> float:
-    indices = []
-    for name, fallback in (("int_ior", default), ("ext_ior", "air")):
-        value = node.take(name, fallback, ("float", "string"))
-        if isinstance(value, str):
-            if value not in _INDICES:
-                raise node.error(f"{name} is {value!r}; a number or one of {', '.join(_INDICES)} is allowed")
-            value = _INDICES[value]
-        if not value > 0:
-            raise node.error(f"{name} is {value}; a positive index is needed")
-        indices.append(value)
-    return indices[0] / indices[1]
-
-
-def _dielectric(node: Node) -> Material:
-    values = {name: node.rgb(name, 1.0) for name in ("specular_reflectance", "specular_transmittance")}
-    return Material("dielectric", {"eta": _relative_index(node, "bk7"), **values})
-
-
-def _plastic(node: Node) -> Material:
-    return Material(
-        "plastic",
-        {
-            "eta": _relative_index(node, "polypropylene"),
-            "reflectance": node.rgb("diffuse_reflectance", 0.5),
-            "specular_reflectance": node.rgb("specular_reflectance", 1.0),
-            "nonlinear": node.flag("nonlinear"),
-        },
-    )
-
-
-def _analytic(node: Node) -> Material:
-    path = node.file()
-    fit = Fit.load(path)
-    _check_channels(node, len(fit.channels))
-    return Material("analytic", {"fit": fit, "filename": str(path)})

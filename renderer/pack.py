@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from gonio.core import embree
 from microgeometry.errors import InputError
 from renderer.alias import alias_table
+from renderer.camera import View
 from renderer.environment import pack_environment
 from renderer.geometry import Geometry
-from renderer.integrator import View, World
+from renderer.integrator import World
 from renderer.lights import AREA, DIRECTIONAL, DISK, ENVIRONMENT, POINT, SPHERE, TRIANGLE, Lights
 from renderer.pack_materials import pack_materials
 from renderer.scene import Array, Camera, DirectionalLight, Disk, Mesh, PointLight, Scene, Shape

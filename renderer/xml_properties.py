@@ -9,6 +9,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from gonio.core.directions import frame
 from microgeometry.errors import InputError
 from renderer.scene import RGB, Array, look_at
 
@@ -221,7 +222,10 @@ def _rotate(node: Node) -> Array:
 
 def _lookat(node: Node) -> Array:
     origin, target = (node.numbers(node.attribute(name), (3,)) for name in ("origin", "target"))
-    up = node.numbers(node.attributes.get("up", "0, 1, 0"), (3,))
+    up = node.numbers(node.attributes.get("up", "0, 0, 0"), (3,))
+    if not np.any(up) and np.any(target - origin):  # Mitsuba's choice then
+        forward = (target - origin) / np.linalg.norm(target - origin)
+        up = np.array(frame(tuple(forward.tolist()))[0])
     try:
         return look_at(origin, target, up)
     except InputError as error:
