@@ -27,7 +27,12 @@ def build() -> click.Group:
     )
     group.params.append(
         click.Option(
-            ["--version"], is_flag=True, expose_value=False, is_eager=True, callback=_version, help="Print the version."
+            ["--version"],
+            is_flag=True,
+            expose_value=False,
+            is_eager=True,
+            callback=_version,
+            help="Print the version.",
         )
     )
     for entry in sorted(importlib.metadata.entry_points(group=_GROUP), key=lambda e: e.name):

@@ -29,7 +29,13 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON obj
 @click.option("--threads", type=int, help="Default: all processors. Does not change the result.")
 @click.option("--estimator", type=click.Choice(["analog"]), default="analog", show_default=True)
 def trace(
-    spec: Path, out: Path, rays: int | None, seconds: float | None, seed: int, threads: int | None, estimator: str
+    spec: Path,
+    out: Path,
+    rays: int | None,
+    seconds: float | None,
+    seed: int,
+    threads: int | None,
+    estimator: str,
 ) -> None:
     """Trace the specimen SPEC (a TOML file) to a BRDF table.
 
@@ -104,8 +110,8 @@ def compress(table: Path, out: Path, max_error: float, as_json: bool) -> None:
         click.echo(json.dumps(asdict(report)))
         return
     click.echo(
-        f"{out}: {report.bytes / 1e3:.0f} kB, {report.ratio:.0f}:1 against float32; error of a row {report.error_median:.4f} "
-        f"(median), {report.error_worst:.4f} (worst); asked {report.max_error:g}, the table's own noise "
+        f"{out}: {report.bytes / 1e3:.0f} kB, {report.ratio:.0f}:1 against float32; error of a row "
+        f"{report.error_median:.4f} (median), {report.error_worst:.4f} (worst); asked {report.max_error:g}, the table's own noise "
         f"{report.noise_median:.4f} (median), {report.noise_worst:.4f} (worst)"
     )
 
@@ -152,7 +158,9 @@ def _info_text(data: dict) -> str:
         )
     if data["surface"]:
         surface = data["surface"]
-        lines.append(f"surface       alpha {surface['alpha']:.4f}, rms height {surface['rms_height']:.3g} m (measured)")
+        lines.append(
+            f"surface       alpha {surface['alpha']:.4f}, rms height {surface['rms_height']:.3g} m (measured)"
+        )
     if data["figure_of_merit"]:
         lines.append(f"merit         {data['figure_of_merit']:.3g} / (relative variance x s)")
     for name, energy in data["ledger"].items():
@@ -162,7 +170,9 @@ def _info_text(data: dict) -> str:
     for i in rows:
         cells = (
             f"{a:.5f} +- {e:.1e} [{s:.4f}]"
-            for a, e, s in zip(data["albedo"][i], data["albedo_std_error"][i], data["specular"][i], strict=True)
+            for a, e, s in zip(
+                data["albedo"][i], data["albedo_std_error"][i], data["specular"][i], strict=True
+            )
         )
         lines.append(f"{data['theta_i_deg'][i]:7.2f}  {'   '.join(cells)}")
     return "\n".join(lines)

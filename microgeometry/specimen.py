@@ -101,8 +101,10 @@ def _build(mapping: Mapping[str, Any], folder: Path, text: str | None, name: str
     top.allow("surface", "material", "grid")
     for table in ("surface", "material"):
         if table not in top:
-            raise InputError(f"[{table}] is missing; a specimen has the tables [surface], [material] and, "
-                             "if wanted, [grid]")
+            raise InputError(
+                f"[{table}] is missing; a specimen has the tables [surface], [material] and, "
+                "if wanted, [grid]"
+            )
     surface_keys, material_keys = Keys(mapping["surface"], "surface"), Keys(mapping["material"], "material")
     surface_type = SURFACES[surface_keys.choice("kind", None, SURFACES)]
     material_type = MATERIALS[material_keys.choice("kind", None, MATERIALS)]

@@ -159,8 +159,10 @@ class TriangleMesh:
         if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
             raise InputError(f"faces of shape {faces.shape}: must be (F, 3) with at least one face")
         if faces.min() < 0 or faces.max() >= len(vertices):
-            raise InputError(f"faces: indices run from {faces.min()} to {faces.max()}; "
-                             f"with {len(vertices)} vertices they must lie in 0..{len(vertices) - 1}")
+            raise InputError(
+                f"faces: indices run from {faces.min()} to {faces.max()}; "
+                f"with {len(vertices)} vertices they must lie in 0..{len(vertices) - 1}"
+            )
         n_bad = np.count_nonzero(~np.isfinite(vertices).all(axis=1))
         if n_bad:
             raise InputError(f"vertices: {n_bad} of {len(vertices)} are NaN or infinite; all must be finite")

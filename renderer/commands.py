@@ -119,7 +119,7 @@ def demo(out: Path, specimen: Path | None) -> None:
     from renderer.demo import Demo
 
     summary = Demo(out, specimen, click.echo).run()
-    click.echo(f"{summary['seconds']:.0f} s in all; look at {out / 'index.html'}")
+    click.echo(f"{summary['seconds']:.0f} s in all; look at {summary['report']}")
 
 
 COMMANDS: tuple[click.Command, ...] = (render_command, report, demo)

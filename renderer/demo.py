@@ -100,6 +100,7 @@ class Demo:
             self._report(other, other_table, other_fit, [], {})
             result.update(speed="", error="")
         summary = {
+            "report": str(self.folder / f"{main.name}_report.html"),
             "seconds": time.perf_counter() - begun,
             "stages": [asdict(stage) for stage in self.stages],
             "fits": {c.name: f.to_json() for c, f in ((main, fitted), (other, other_fit))},
@@ -167,7 +168,9 @@ class Demo:
                     speed=f"{image.provenance['paths_per_second'] / 1e6:.2f} M paths/s",
                     error=f"noise {image.noise:.1%} of a pixel",
                 )
-        differences = side_by_side(images, self.folder / f"{case.name}_compared.png", title=case.specimen.name)
+        differences = side_by_side(
+            images, self.folder / f"{case.name}_compared.png", title=case.specimen.name
+        )
         for label, d in differences.items():
             self.say(
                 f"  {label} against table: relative RMSE {d.relative_rmse:.2%} (noise explains {d.noise_rmse:.2%}), "
@@ -175,7 +178,9 @@ class Demo:
             )
         return differences
 
-    def _report(self, case: _Case, table: Table, fitted: Fit, sections: list, overlays: dict[str, Table]) -> None:
+    def _report(
+        self, case: _Case, table: Table, fitted: Fit, sections: list, overlays: dict[str, Table]
+    ) -> None:
         report = self.folder / f"{case.name}_report.html"
         overlays = {**overlays, case.model: plots.overlay(fitted)}
         write_report(table, report, {case.model: fitted}, sections, case.specimen.name, overlays)
@@ -208,12 +213,16 @@ def _users_case(path: Path) -> _Case:
         rough = specimen.material.kind == "lambert"
         return _Case(path.stem, specimen, "oren_nayar" if rough else "cook_torrance_beckmann")
     if not path.is_file():
-        raise InputError(f"{path}: no such file; a specimen (.toml), a mesh or a measured height map is expected")
+        raise InputError(
+            f"{path}: no such file; a specimen (.toml), a mesh or a measured height map is expected"
+        )
     kind = "mesh" if path.suffix.lower() in _MESHES else "heightmap"
     surface = {"kind": kind, "file": str(path.resolve()), "tiling": "mirror"}
     if kind == "heightmap":
         surface["holes"] = "fill"
-    specimen = parse_specimen({"surface": surface, "material": {"kind": "conductor", "name": "Au"}}, path.parent)
+    specimen = parse_specimen(
+        {"surface": surface, "material": {"kind": "conductor", "name": "Au"}}, path.parent
+    )
     return _Case(path.stem, specimen, "cook_torrance_beckmann")
 
 

@@ -70,7 +70,9 @@ def plane_of_incidence(table: Table, row: int) -> tuple[Array, Array, Array]:
     return theta, *(np.concatenate([side[0][::-1], side[1]]) for side in (means, errors))  # type: ignore[return-value]
 
 
-def _merged_error(table: Table, row: int, sectors: NDArray, starts: NDArray, weight: Array, total: Array) -> Array:
+def _merged_error(
+    table: Table, row: int, sectors: NDArray, starts: NDArray, weight: Array, total: Array
+) -> Array:
     """Standard error of means over blocks of cells, shape (N, C)."""
     if table.std_error is None:
         return np.full((len(starts), len(table.channels)), np.nan)
@@ -82,7 +84,9 @@ def _merged_error(table: Table, row: int, sectors: NDArray, starts: NDArray, wei
     return np.where(variance > 0, np.sqrt(variance), bound) / total
 
 
-def lobes(table: Table, overlays: Mapping[str, Table] | None = None, angles_deg: Sequence[float] = (10, 45, 75)) -> Figure:
+def lobes(
+    table: Table, overlays: Mapping[str, Table] | None = None, angles_deg: Sequence[float] = (10, 45, 75)
+) -> Figure:
     """Draw the lobes in the plane of incidence, one panel an angle of incidence; overlays as lines.
 
     Parameters

@@ -37,14 +37,21 @@ def sources(package: str) -> list[Path]:
 @pytest.mark.parametrize("package", FLOORS)
 def test_imports_go_down(package: str) -> None:
     above = set(FLOORS[FLOORS.index(package) + 1 :])
-    wrong = {f"{s.relative_to(ROOT)} imports {up}" for s in sources(package) for up in imports_of(s.read_text()) & above}
+    wrong = {
+        f"{s.relative_to(ROOT)} imports {up}"
+        for s in sources(package)
+        for up in imports_of(s.read_text()) & above
+    }
     assert not wrong
 
 
 @pytest.mark.parametrize("library", GATEWAYS)
 def test_one_gateway(library: str) -> None:
     users = {
-        s.relative_to(ROOT).as_posix() for p in FLOORS for s in sources(p) if library in imports_of(s.read_text())
+        s.relative_to(ROOT).as_posix()
+        for p in FLOORS
+        for s in sources(p)
+        if library in imports_of(s.read_text())
     }
     stray = {u for u in users if not any(u.startswith(gate) for gate in GATEWAYS[library])}
     assert not stray

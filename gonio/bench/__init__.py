@@ -12,7 +12,9 @@ BENCHMARKS = {"trace": "gonio.bench.trace"}
 """Name to module; a module has ``run(say) -> dict``."""
 
 
-def run_benchmarks(names: Sequence[str] = (), say: Callable[[str], None] = lambda line: None) -> dict[str, Any]:
+def run_benchmarks(
+    names: Sequence[str] = (), say: Callable[[str], None] = lambda line: None
+) -> dict[str, Any]:
     """Run benchmarks by name, all by default.
 
     Parameters

@@ -46,7 +46,9 @@ def run(say: Callable[[str], None]) -> dict[str, Any]:
                 "lost": lost,
             }
         )
-        say(f"{theta:8d} {fast / 1e6:10.2f} {slow / 1e6:14.3f} {fast / slow:6.1f} {albedo:6.4f} {plain_albedo:6.4f}")
+        say(
+            f"{theta:8d} {fast / 1e6:10.2f} {slow / 1e6:14.3f} {fast / slow:6.1f} {albedo:6.4f} {plain_albedo:6.4f}"
+        )
     mean = float(np.mean([r["paths_per_second"] for r in results]))
     ratio = float(np.exp(np.mean([np.log(r["ratio"]) for r in results])))
     say(f"{'mean':>8} {mean / 1e6:10.2f} {'':14} {ratio:6.1f}  (geometric)")

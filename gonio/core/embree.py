@@ -168,7 +168,9 @@ class _Device:
 
     def _report(self, _user: int, code: int, message: bytes) -> None:
         with self._lock:
-            self._errors.append(f"{_ERROR_NAMES.get(code, code)}: {(message or b'').decode(errors='replace')}")
+            self._errors.append(
+                f"{_ERROR_NAMES.get(code, code)}: {(message or b'').decode(errors='replace')}"
+            )
 
     def call(self, name: str, *arguments: object) -> int:
         """Call a function of the interface and raise what Embree reported meanwhile."""
@@ -247,17 +249,18 @@ class Scene:
         int
             The geometry's id.
         """
-        vertices = np.asarray(vertices)
-        if vertices.ndim != 3 or vertices.shape[2] != 3 or not all(2 <= n <= _MAX_GRID for n in vertices.shape[:2]):
+        corners: NDArray = np.asarray(vertices)
+        sides = corners.shape[:2]
+        if corners.ndim != 3 or corners.shape[2] != 3 or not all(2 <= n <= _MAX_GRID for n in sides):
             raise EmbreeError(
-                f"add_grid: vertices have shape {vertices.shape}; (nx + 1, ny + 1, 3) with 2 to {_MAX_GRID} "
+                f"add_grid: vertices have shape {corners.shape}; (nx + 1, ny + 1, 3) with 2 to {_MAX_GRID} "
                 "vertices a side is needed"
             )
-        vertices = vertices.transpose(1, 0, 2)  # Embree's normals point up when x runs fastest
-        rows, columns = vertices.shape[:2]
+        corners = corners.transpose(1, 0, 2)  # Embree's normals point up when x runs fastest
+        rows, columns = corners.shape[:2]
         grid = (_GridPrimitive * 1)(_GridPrimitive(0, columns, columns, rows))
         buffers = (
-            (_BUFFER_VERTEX, _FLOAT3, _padded(vertices.reshape(-1, 3)), 12, rows * columns),
+            (_BUFFER_VERTEX, _FLOAT3, _padded(corners.reshape(-1, 3)), 12, rows * columns),
             (_BUFFER_GRID, _GRID_FORMAT, grid, ctypes.sizeof(_GridPrimitive), 1),
         )
         return self._attach(_GRID, buffers)
@@ -275,13 +278,18 @@ class Scene:
         if not self._committed:
             raise EmbreeError("scene.handle: the scene is not committed; call commit() after adding geometry")
         library = self._device.library
+
+        def address(function: str) -> int:
+            return ctypes.cast(getattr(library, function), ctypes.c_void_p).value or 0
+
         return Handle(
-            *(ctypes.cast(getattr(library, f), ctypes.c_void_p).value or 0
-              for f in ("rtcIntersect1", "rtcIntersect16", "rtcOccluded1")),
-            self._pointer,
-            ctypes.addressof(_ARGUMENTS[_COHERENT]),
-            ctypes.addressof(_ARGUMENTS[0]),
-        )  # fmt: skip
+            intersect1=address("rtcIntersect1"),
+            intersect16=address("rtcIntersect16"),
+            occluded1=address("rtcOccluded1"),
+            scene=self._pointer,
+            coherent=ctypes.addressof(_ARGUMENTS[_COHERENT]),
+            incoherent=ctypes.addressof(_ARGUMENTS[0]),
+        )
 
     def _attach(self, kind: int, buffers: tuple) -> int:
         call = self._device.call

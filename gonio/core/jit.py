@@ -26,9 +26,11 @@ os.environ.setdefault("NUMBA_NUM_THREADS", str(max(_PROCESSORS, 8)))
 
 import numba  # noqa: E402
 from numba import prange  # noqa: E402
-from numba.core import config  # noqa: E402
+from numba.core import config as _numba_config  # noqa: E402
 
 from microgeometry.errors import InputError  # noqa: E402
+
+config: Any = _numba_config  # its attributes are set at import, where mypy does not see them
 
 __all__ = ["disabled", "kernel", "prange", "set_threads", "threads"]
 
@@ -42,7 +44,6 @@ disabled: bool = bool(config.DISABLE_JIT)
 
 if not disabled and _ASKED is None:
     numba.set_num_threads(min(_PROCESSORS, config.NUMBA_NUM_THREADS))
-
 
 
 def kernel(
@@ -76,15 +77,16 @@ def kernel(
         previous = config.CACHE_DIR
         config.CACHE_DIR = str(cache_directory(_floor_of(f)))
         try:
-            return numba.njit(
-                cache=True,
-                parallel=parallel,
-                nogil=True,
-                error_model="numpy",
-                fastmath={"contract"},
-                inline="always" if inline else "never",
-                _nrt=allocates,
-            )(f)
+            options: dict[str, Any] = {
+                "cache": True,
+                "parallel": parallel,
+                "nogil": True,
+                "error_model": "numpy",
+                "fastmath": {"contract"},
+                "inline": "always" if inline else "never",
+                "_nrt": allocates,
+            }
+            return numba.njit(**options)(f)
         finally:
             config.CACHE_DIR = previous
 

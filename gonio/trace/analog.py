@@ -1,4 +1,7 @@
-"""The analog estimator: every path is binned in the cell it leaves through. The reference all others are proven against."""
+"""The analog estimator: every path is binned in the cell it leaves through.
+
+It assumes nothing; every other estimator is proven against it.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +24,8 @@ LEDGER_COLUMNS = 6
 
 @kernel(parallel=True)
 def trace_batch(
-    embree, box, coherent, eta_k, albedo, sin2_lower, sin2_upper, theta_axis, phi_axis, strata_x, strata_y, chunks, seed, batch,
-    max_bounces, cells, specular, albedo_sums, ledger,
+    embree, box, coherent, eta_k, albedo, sin2_lower, sin2_upper, theta_axis, phi_axis, strata_x, strata_y,
+    chunks, seed, batch, max_bounces, cells, specular, albedo_sums, ledger,
 ):  # fmt: skip
     """Trace one batch: strata_x x strata_y x 16 paths for every row, binned by where they leave.
 

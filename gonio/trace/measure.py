@@ -186,7 +186,8 @@ class Measurement:
     def _provenance(self) -> dict[str, Any]:
         paths = self.tally.ledger["paths"]
         statistics = {
-            name: float(np.mean([asdict(s)[name] for s in self._statistics])) for name in asdict(self._statistics[0])
+            name: float(np.mean([asdict(s)[name] for s in self._statistics]))
+            for name in asdict(self._statistics[0])
         }
         return {
             "name": self.specimen.name,
@@ -201,7 +202,9 @@ class Measurement:
             "seconds": self.seconds,
             "paths_per_second": paths / self.seconds,
             "surface": statistics,
-            "versions": {name: importlib.metadata.version(name) for name in ("gonio", "embreex", "numba", "numpy")},
+            "versions": {
+                name: importlib.metadata.version(name) for name in ("gonio", "embreex", "numba", "numpy")
+            },
         }
 
 

@@ -52,7 +52,9 @@ class Tally:
         self.batches += 1
         self.paths_per_row += paths_per_row
         _close(self._cells, 1.0 / paths_per_row, self.batches, self._mean, self._square, self.hits)
-        rows = np.concatenate([self._specular.sum(axis=1), self._reflected.sum(axis=1)], axis=1) / paths_per_row
+        rows = (
+            np.concatenate([self._specular.sum(axis=1), self._reflected.sum(axis=1)], axis=1) / paths_per_row
+        )
         delta = rows - self._row_mean
         self._row_mean += delta / self.batches
         self._row_square += delta * (rows - self._row_mean)

@@ -14,8 +14,24 @@ import numpy as np
 
 from gonio.core.directions import cosine_hemisphere, frame
 from gonio.core.embree import (
-    DIR_X, DIR_Y, DIR_Z, GEOM_ID, INST_ID, INST_PRIM_ID, MISS, NORMAL_X, NORMAL_Y, NORMAL_Z,
-    ORG_X, ORG_Y, ORG_Z, PACKET_WIDTH, T_FAR, T_NEAR, VALID, intersect16,
+    DIR_X,
+    DIR_Y,
+    DIR_Z,
+    GEOM_ID,
+    INST_ID,
+    INST_PRIM_ID,
+    MISS,
+    NORMAL_X,
+    NORMAL_Y,
+    NORMAL_Z,
+    ORG_X,
+    ORG_Y,
+    ORG_Z,
+    PACKET_WIDTH,
+    T_FAR,
+    T_NEAR,
+    VALID,
+    intersect16,
 )  # fmt: skip
 from gonio.core.jit import kernel
 from gonio.core.optics import fresnel_conductor
@@ -70,7 +86,20 @@ def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
 
 @kernel(allocates=False)
 def trace_packet(
-    embree, box, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path, weight, bounces, status, absorbed
+    embree,
+    box,
+    coherent,
+    packet,
+    eta_k,
+    albedo,
+    max_bounces,
+    seed,
+    batch,
+    path,
+    weight,
+    bounces,
+    status,
+    absorbed,
 ):
     """Follow the 16 paths of a started packet to their ends.
 

@@ -64,12 +64,23 @@ class Gaussian:
     @classmethod
     def from_keys(cls, keys: Keys, folder: Path) -> Gaussian:
         """Build from the [surface] table."""
-        keys.allow("kind", "alpha", "rms_height", "correlation_length", "units", "samples",
-                   "samples_per_correlation_length", "size")
+        keys.allow(
+            "kind",
+            "alpha",
+            "rms_height",
+            "correlation_length",
+            "units",
+            "samples",
+            "samples_per_correlation_length",
+            "size",
+        )
         unit = keys.metres_per_unit()
         if "alpha" in keys and "rms_height" in keys:
-            raise keys.error("rms_height", "give alpha or rms_height, not both: with the correlation length "
-                                           "one follows from the other (alpha = 2 rms_height / length)")
+            raise keys.error(
+                "rms_height",
+                "give alpha or rms_height, not both: with the correlation length "
+                "one follows from the other (alpha = 2 rms_height / length)",
+            )
         alpha = rms_height = None
         if "rms_height" in keys:
             rms_height = keys.number("rms_height", at_least=0) * unit
@@ -79,8 +90,11 @@ class Gaussian:
             length = keys.number("correlation_length", 1.0, above=0) * unit
         samples = keys.integer("samples", 512, at_least=32, at_most=8192)
         if "size" in keys and "samples_per_correlation_length" in keys:
-            raise keys.error("size", "give size or samples_per_correlation_length, not both: "
-                                     "size = samples / samples_per_correlation_length lengths")
+            raise keys.error(
+                "size",
+                "give size or samples_per_correlation_length, not both: "
+                "size = samples / samples_per_correlation_length lengths",
+            )
         if "size" in keys:
             size = keys.number("size", above=0) * unit
             cls._check_sampling(keys, "size", samples, samples * length / size)
@@ -94,14 +108,20 @@ class Gaussian:
     def _check_sampling(keys: Keys, key: str, samples: int, per_length: float) -> None:
         # A millionth of slack: 512 samples over a size of 64 lengths must not fail by rounding.
         if per_length < MIN_SAMPLES_PER_LENGTH * (1 - 1e-6):
-            raise keys.error(key, f"{per_length:.3g} samples per correlation length do not resolve the "
-                                  f"surface; at least {MIN_SAMPLES_PER_LENGTH:g} are needed: raise samples "
-                                  "or make the tile smaller")
+            raise keys.error(
+                key,
+                f"{per_length:.3g} samples per correlation length do not resolve the "
+                f"surface; at least {MIN_SAMPLES_PER_LENGTH:g} are needed: raise samples "
+                "or make the tile smaller",
+            )
         lengths = samples / per_length
         if lengths < MIN_LENGTHS_PER_TILE * (1 - 1e-6):
-            raise keys.error(key, f"the tile of {samples} samples is {lengths:.3g} correlation lengths wide; "
-                                  f"at least {MIN_LENGTHS_PER_TILE:g} are needed: raise samples or make the "
-                                  "tile larger (fewer samples per correlation length)")
+            raise keys.error(
+                key,
+                f"the tile of {samples} samples is {lengths:.3g} correlation lengths wide; "
+                f"at least {MIN_LENGTHS_PER_TILE:g} are needed: raise samples or make the "
+                "tile larger (fewer samples per correlation length)",
+            )
 
     def realise(self, seed: int) -> HeightField:
         """Return the realisation of a seed, shape (samples, samples)."""

@@ -144,8 +144,10 @@ def _read(
             heights = np.ma.filled(np.ma.asarray(topography.heights(), dtype=np.float64), np.nan)
             file_unit = topography.unit
     except CannotDetectFileFormat as error:
-        raise InputError(f"{file}: not a height map in a format that SurfaceTopography reads; export it as "
-                         "x3p, sur, gwy or a text matrix") from error
+        raise InputError(
+            f"{file}: not a height map in a format that SurfaceTopography reads; export it as "
+            "x3p, sur, gwy or a text matrix"
+        ) from error
     except Exception as error:  # forty readers, each with errors of its own
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(f"{file}: the height map cannot be read ({reason}); is it complete?") from error
@@ -157,16 +159,19 @@ def _read(
             unit = float(get_unit_conversion_factor(str(file_unit).replace("\u03bc", "\u00b5"), "m"))
         except ValueError as error:
             found = "no unit" if file_unit is None else f"a unit that is no length ({file_unit!r})"
-            raise InputError(f'{file}: the file states {found}; add units = "um" (or m, mm, nm) under '
-                             "[surface]") from error
+            raise InputError(
+                f'{file}: the file states {found}; add units = "um" (or m, mm, nm) under [surface]'
+            ) from error
     if size is None:
         if missing:
             raise InputError(f"{file}: the file states no lateral size; add size = [Lx, Ly] under [surface]")
         lx, ly = topography.physical_sizes
         size = (float(lx) * unit, float(ly) * unit)
     if not all(0 < length < np.inf for length in size):
-        raise InputError(f"{file}: the file states a lateral size of {size[0]:g} x {size[1]:g} m; "
-                         "add size = [Lx, Ly] and units under [surface]")
+        raise InputError(
+            f"{file}: the file states a lateral size of {size[0]:g} x {size[1]:g} m; "
+            "add size = [Lx, Ly] and units under [surface]"
+        )
     return heights * unit, size
 
 
@@ -223,8 +228,11 @@ def _fill(
             inside, rim = (here >= 0) & (there >= 0), (here >= 0) & (there < 0)
             np.add.at(diagonal, here[here >= 0], weight)
             np.add.at(right, here[rim], weight * known[rim])
-            links.append(sparse.coo_array((np.full(np.count_nonzero(inside), -weight),
-                                           (here[inside], there[inside])), shape=(n, n)))
+            links.append(
+                sparse.coo_array(
+                    (np.full(np.count_nonzero(inside), -weight), (here[inside], there[inside])), shape=(n, n)
+                )
+            )
     filled = heights.copy()
     filled[hole] = spsolve((sparse.diags_array(diagonal) + sum(links)).tocsc(), right)
     return filled

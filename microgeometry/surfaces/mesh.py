@@ -61,8 +61,10 @@ class Mesh:
         file = folder / keys.text("file")
         suffix = file.suffix.lower()
         if suffix not in FORMATS:
-            raise keys.error("file", f"the format {suffix or 'without suffix'} is not read; allowed are "
-                                     f"{', '.join(FORMATS)}")
+            raise keys.error(
+                "file",
+                f"the format {suffix or 'without suffix'} is not read; allowed are {', '.join(FORMATS)}",
+            )
         if not file.is_file():
             raise keys.error("file", f"there is no file {file}; paths are relative to the specimen's folder")
         up = keys.choice("up", "y" if suffix in (".glb", ".gltf") else "z", ("z", "y"))
@@ -92,15 +94,18 @@ class Mesh:
         good = _has_area(vertices, faces)
         faces = faces[good]
         if len(faces) == 0:
-            raise InputError(f"{self.file}: all {len(good)} triangles are degenerate (no area); "
-                             "export the mesh again")
+            raise InputError(
+                f"{self.file}: all {len(good)} triangles are degenerate (no area); export the mesh again"
+            )
         # Vertices no triangle uses must not widen the period.
         used, faces = np.unique(faces, return_inverse=True)
         vertices, faces = vertices[used], faces.reshape(-1, 3)
         low, extent = vertices.min(axis=0), np.ptp(vertices, axis=0)
         if min(extent[:2]) <= _DEGENERATE * extent.max():
-            raise InputError(f"{self.file}: the mesh measures {extent[0]:g} x {extent[1]:g} in the plane, it "
-                             'does not lie above one; is z up in the file? set up = "y" or "z"')
+            raise InputError(
+                f"{self.file}: the mesh measures {extent[0]:g} x {extent[1]:g} in the plane, it "
+                'does not lie above one; is z up in the file? set up = "y" or "z"'
+            )
         vertices = (vertices - (low[0], low[1], 0.0)) * self.unit
         size = (float(vertices[:, 0].max()), float(vertices[:, 1].max()))
         if self.tiling == "mirror":
@@ -109,8 +114,10 @@ class Mesh:
             size = (2.0 * size[0], 2.0 * size[1])
         mesh = TriangleMesh(vertices, faces.astype(np.int32), (0.0, 0.0), size)
         if not (mesh.facets()[0][:, 2] > 0).any():
-            raise InputError(f"{self.file}: no triangle faces up; reverse the faces in the program that made "
-                             "it, or set `up` under [surface]")
+            raise InputError(
+                f"{self.file}: no triangle faces up; reverse the faces in the program that made "
+                "it, or set `up` under [surface]"
+            )
         return mesh, int(np.count_nonzero(~good))
 
 

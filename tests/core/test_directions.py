@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from gonio.core.directions import (
-    cos_delta_phi, cosine_hemisphere, direction, frame, half_vector, projected_solid_angles,
+    cos_delta_phi,
+    cosine_hemisphere,
+    direction,
+    frame,
+    half_vector,
+    projected_solid_angles,
 )  # fmt: skip
 from gonio.core.lookup import axis, find
 

@@ -14,8 +14,25 @@ import pytest
 
 from gonio.core import embree
 from gonio.core.embree import (
-    DIR_Z, GEOM_ID, INST_ID, MISS, NORMAL_X, NORMAL_Y, NORMAL_Z, ORG_X, ORG_Y, ORG_Z, T_FAR, VALID,
-    EmbreeError, Scene, intersect1, intersect16, new_packet, new_ray, occluded1,
+    DIR_Z,
+    GEOM_ID,
+    INST_ID,
+    MISS,
+    NORMAL_X,
+    NORMAL_Y,
+    NORMAL_Z,
+    ORG_X,
+    ORG_Y,
+    ORG_Z,
+    T_FAR,
+    VALID,
+    EmbreeError,
+    Scene,
+    intersect1,
+    intersect16,
+    new_packet,
+    new_ray,
+    occluded1,
 )  # fmt: skip
 
 QUAD = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 1]]], float)  # corner (1, 1) lifted
@@ -104,10 +121,10 @@ def test_bad_geometry_is_refused(build, words):
 
 def test_embrees_own_error_becomes_an_exception_of_the_call():
     device = embree._device()
+    geometry = device.call("rtcNewGeometry", device.pointer, 0)
+    data = np.zeros((4, 3), np.float32)
     with pytest.raises(EmbreeError, match="rtcSetSharedGeometryBuffer: invalid"):
         # a vertex buffer in an index format
-        geometry = device.call("rtcNewGeometry", device.pointer, 0)
-        data = np.zeros((4, 3), np.float32)
         device.call("rtcSetSharedGeometryBuffer", geometry, 1, 0, 0x5003, data.ctypes.data, 0, 12, 3)
     Scene().commit()  # the device still works, and the error is not reported twice
 
@@ -170,7 +187,11 @@ def test_a_second_process_compiles_nothing(tmp_path):
     counts = []
     for _ in range(2):
         run = subprocess.run(
-            [sys.executable, "-c", SECOND_PROCESS], env=environment, capture_output=True, text=True, check=True
+            [sys.executable, "-c", SECOND_PROCESS],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         counts.append(int(run.stdout.split()[-1]))
     assert counts[0] > 5  # the first one did compile

@@ -80,8 +80,9 @@ def test_seed_is_the_realisation(specimen_of):
 
 
 def test_scale_does_not_change_the_shape(specimen_of):
-    one, small = (specimen_of("gaussian", alpha=0.5, samples=128, units=unit).surface.realise(3)
-                  for unit in ("m", "nm"))
+    one, small = (
+        specimen_of("gaussian", alpha=0.5, samples=128, units=unit).surface.realise(3) for unit in ("m", "nm")
+    )
     np.testing.assert_allclose(small.heights * 1e9, one.heights, rtol=1e-9, atol=1e-12)
 
 

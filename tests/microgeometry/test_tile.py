@@ -9,9 +9,7 @@ def as_mesh(field: HeightField) -> TriangleMesh:
     """Write out a height field's triangles, by the documented split, independently of its methods."""
     nx, ny = field.heights.shape
     dx, dy = field.size[0] / nx, field.size[1] / ny
-    vertices = [
-        (i * dx, j * dy, field.heights[i % nx, j % ny]) for i in range(nx + 1) for j in range(ny + 1)
-    ]
+    vertices = [(i * dx, j * dy, field.heights[i % nx, j % ny]) for i in range(nx + 1) for j in range(ny + 1)]
     faces = []
     for i in range(nx):
         for j in range(ny):

@@ -34,7 +34,8 @@ MIRROR = {"kind": "mirror"}
 def test_flat_lambert_in_every_cell_pole_and_horizon():
     """Hits of every cell follow the binomial law of an albedo spread over the projected solid angle."""
     table = measure(
-        specimen({"kind": "flat"}, {"kind": "lambert", "albedo": 0.6}, theta_step_deg=5, phi_step_deg=5), rays=1_000_000
+        specimen({"kind": "flat"}, {"kind": "lambert", "albedo": 0.6}, theta_step_deg=5, phi_step_deg=5),
+        rays=1_000_000,
     )
     paths = table.ledger["paths"] / len(table.theta_i)
     share = table.projected_solid_angles / math.pi
@@ -50,7 +51,8 @@ def test_flat_lambert_in_every_cell_pole_and_horizon():
 def test_error_bars_are_the_scatter_in_every_ring():
     """Over the cells of a ring, squared deviations from rho/pi have the mean that the error bars say."""
     table = measure(
-        specimen({"kind": "flat"}, {"kind": "lambert", "albedo": 1.0}, theta_step_deg=5, phi_step_deg=5), rays=1_000_000
+        specimen({"kind": "flat"}, {"kind": "lambert", "albedo": 1.0}, theta_step_deg=5, phi_step_deg=5),
+        rays=1_000_000,
     )
     deviation = table.values[..., 0] - 1 / math.pi
     for ring in range(len(table.theta_r)):
@@ -103,7 +105,8 @@ def test_flat_mirror_is_a_delta_term():
     angles = [0, 30, 60, 85]
     material = {"kind": "conductor", "eta": [0.2, 1.4], "k": [3.9, 1.9]}
     table = measure(
-        specimen({"kind": "flat"}, material, theta_i_deg=angles, wavelengths_nm=[600, 450], **COARSE), rays=20_000
+        specimen({"kind": "flat"}, material, theta_i_deg=angles, wavelengths_nm=[600, 450], **COARSE),
+        rays=20_000,
     )
     assert np.all(table.values == 0)
     for row, angle in enumerate(angles):
@@ -116,7 +119,9 @@ def test_flat_mirror_is_a_delta_term():
 
 def test_delta_phi_is_pi_on_the_mirror_side():
     """A nearly smooth mirror sends light to theta_r = theta_i, delta phi = pi."""
-    table = measure(specimen(gaussian(0.02), MIRROR, theta_i_deg=[40], theta_step_deg=10, phi_step_deg=20), rays=20_000)
+    table = measure(
+        specimen(gaussian(0.02), MIRROR, theta_i_deg=[40], theta_step_deg=10, phi_step_deg=20), rays=20_000
+    )
     row = (table.values[0, :, :, 0] * table.projected_solid_angles) / table.albedo[0]
     assert row[3:5, -1].sum() > 0.99
 
@@ -124,7 +129,9 @@ def test_delta_phi_is_pi_on_the_mirror_side():
 def test_groove_seen_from_all_sides_still_turns_light_by_twice_its_slope():
     """Isotropy by turning the specimen: at normal incidence a groove of slope 20 makes a cone of 40 degrees."""
     table = measure(
-        specimen({"kind": "v_groove", "slope_deg": 20}, MIRROR, theta_i_deg=[0], theta_step_deg=1, phi_step_deg=180),
+        specimen(
+            {"kind": "v_groove", "slope_deg": 20}, MIRROR, theta_i_deg=[0], theta_step_deg=1, phi_step_deg=180
+        ),
         rays=20_000,
     )
     energy = table.values[0, :, 0, 0] * table.projected_solid_angles[:, 0]
@@ -132,7 +139,9 @@ def test_groove_seen_from_all_sides_still_turns_light_by_twice_its_slope():
 
 
 def test_empty_cells_have_an_upper_bound():
-    table = measure(specimen({"kind": "v_groove", "slope_deg": 20}, MIRROR, theta_i_deg=[0], **COARSE), rays=20_000)
+    table = measure(
+        specimen({"kind": "v_groove", "slope_deg": 20}, MIRROR, theta_i_deg=[0], **COARSE), rays=20_000
+    )
     empty = table.hits == 0
     assert empty.any()
     bound = 3 / (table.ledger["paths"] * np.broadcast_to(table.projected_solid_angles, empty.shape))
@@ -176,7 +185,11 @@ print(hashlib.sha256(b"".join(a.tobytes() for a in (t.values, t.std_error, t.hit
 def test_same_bits_for_any_number_of_threads():
     digests = {
         subprocess.run(
-            [sys.executable, "-c", THREADS, str(n)], capture_output=True, text=True, check=True, env=dict(os.environ)
+            [sys.executable, "-c", THREADS, str(n)],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=dict(os.environ),
         ).stdout
         for n in (1, 2, 8)
     }
@@ -241,7 +254,11 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
 def test_memory_of_a_one_degree_rgb_trace():
     """Below 2 GiB, and flat in the number of rays."""
     few, many = (
-        int(subprocess.run([sys.executable, "-c", MEMORY, n], capture_output=True, text=True, check=True).stdout)
+        int(
+            subprocess.run(
+                [sys.executable, "-c", MEMORY, n], capture_output=True, text=True, check=True
+            ).stdout
+        )
         for n in ("100000", "4000000")
     )
     assert many < 2 * 2**30

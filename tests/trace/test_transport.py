@@ -91,7 +91,9 @@ def test_bounce_cap_kills_and_counts():
     (30, 0.5, 0.46370), (30, 0.8, 0.77553), (45, 0.5, 0.41215), (45, 0.8, 0.73594),
 ])  # fmt: skip
 def test_lambert_v_groove(slope, albedo, expected):
-    batches = [Paths(v_groove(slope), Lambert((albedo,)), 0, side=64, seed=s).weight.mean() for s in range(16)]
+    batches = [
+        Paths(v_groove(slope), Lambert((albedo,)), 0, side=64, seed=s).weight.mean() for s in range(16)
+    ]
     error = np.std(batches, ddof=1) / 4
     # Student's t with 15 degrees of freedom exceeds 4.9 with a chance of 2e-4
     assert abs(np.mean(batches) - expected) < 4.9 * error
@@ -110,7 +112,9 @@ def floating_sphere():
     """A sphere above a plane: overhangs, and free flight below them."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.25)
     ball.apply_translation([0.5, 0.5, 0.5])
-    floor = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
+    floor = trimesh.Trimesh(
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]], process=False
+    )
     mesh = trimesh.util.concatenate([ball, floor])
     return TriangleMesh(np.array(mesh.vertices), np.array(mesh.faces, np.int32), (0.0, 0.0), (1.0, 1.0))
 
