@@ -13,7 +13,7 @@ from microgeometry.errors import InputError
 from renderer import render as module
 from renderer.commands import render_command
 from renderer.image import Image, write_exr
-from renderer.render import default_threads, render
+from renderer.render import render
 from renderer.scene import Camera, Material, Mesh, PointLight, Scene, Sphere, look_at
 from tests.renderer.scenes import constant, lambert_table, square
 
@@ -44,20 +44,13 @@ def test_same_bits_for_any_number_of_threads(monkeypatch):
 def test_same_bits_in_another_process_and_any_passes(monkeypatch, tmp_path):
     script = (
         "import sys, numpy as np\n"
-        "from tests.renderer.test_render import SCENE; from renderer.render import *\n"
-        "assert default_threads() == 8; np.save(sys.argv[1], render(SCENE, spp=9, seed=5).pixels)"
+        "from tests.renderer.test_render import SCENE; from renderer.render import render\n"
+        "from gonio.core import jit; assert jit.threads() == 8; np.save(sys.argv[1], render(SCENE, spp=9, seed=5).pixels)"
     )
     env = {**os.environ, "NUMBA_NUM_THREADS": "8", "PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, "-c", script, str(tmp_path / "a.npy")], check=True, env=env, cwd=ROOT)
     monkeypatch.setattr(module, "_SECONDS_PER_PASS", 1e-9)  # one sample a pass
     assert np.array_equal(np.load(tmp_path / "a.npy"), render(SCENE, spp=9, seed=5).pixels)
-
-
-def test_default_threads(monkeypatch):
-    monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
-    assert default_threads() == 3
-    monkeypatch.delenv("NUMBA_NUM_THREADS")
-    assert default_threads() >= 1
 
 
 @pytest.mark.compiled
