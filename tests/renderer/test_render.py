@@ -45,7 +45,8 @@ def test_same_bits_in_another_process_and_any_passes(monkeypatch, tmp_path):
     script = (
         "import sys, numpy as np\n"
         "from tests.renderer.test_render import SCENE; from renderer.render import render\n"
-        "from gonio.core import jit; assert jit.threads() == 8; np.save(sys.argv[1], render(SCENE, spp=9, seed=5).pixels)"
+        "from gonio.core import jit; assert jit.threads() == 8\n"
+        "np.save(sys.argv[1], render(SCENE, spp=9, seed=5).pixels)"
     )
     env = {**os.environ, "NUMBA_NUM_THREADS": "8", "PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, "-c", script, str(tmp_path / "a.npy")], check=True, env=env, cwd=ROOT)
