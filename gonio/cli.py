@@ -44,9 +44,7 @@ def build() -> click.Group:
 def main() -> None:
     """Run the command line; the exit status is 0, 1 (a check failed), 2 (bad input) or 130 (Ctrl-C)."""
     try:
-        build().main(standalone_mode=False)
-    except click.exceptions.Exit as stop:
-        sys.exit(stop.exit_code)
+        status = build().main(standalone_mode=False)
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
@@ -56,6 +54,7 @@ def main() -> None:
     except (InputError, TraceError, EmbreeError, OSError) as error:
         _say(_describe(error))
         sys.exit(2)
+    sys.exit(status if isinstance(status, int) else 0)  # click returns the status of an Exit
 
 
 def _describe(error: Exception) -> str:

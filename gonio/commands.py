@@ -111,8 +111,8 @@ def compress(table: Path, out: Path, max_error: float, as_json: bool) -> None:
         return
     click.echo(
         f"{out}: {report.bytes / 1e3:.0f} kB, {report.ratio:.0f}:1 against float32; error of a row "
-        f"{report.error_median:.4f} (median), {report.error_worst:.4f} (worst); asked {report.max_error:g}, the table's own noise "
-        f"{report.noise_median:.4f} (median), {report.noise_worst:.4f} (worst)"
+        f"{report.error_median:.4f} (median), {report.error_worst:.4f} (worst); asked {report.max_error:g}, "
+        f"the table's own noise {report.noise_median:.4f} (median), {report.noise_worst:.4f} (worst)"
     )
 
 

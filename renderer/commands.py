@@ -103,7 +103,11 @@ def report(table: Path, fits: tuple[Path, ...], out: Path) -> None:
 
 @click.command()
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("gonio-demo"), show_default=True, help="Folder to fill."
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("gonio-demo"),
+    show_default=True,
+    help="Folder to fill.",
 )
 @click.option(
     "--specimen",
