@@ -173,5 +173,5 @@ def test_ctrl_c_before_the_first_batch_leaves_nothing(folder, monkeypatch, capsy
     with pytest.raises(SystemExit) as stop:
         main()
     assert stop.value.code == 130
-    assert capsys.readouterr().err == "gonio: interrupted\n"
+    assert capsys.readouterr().err.strip() == "gonio: interrupted"
     assert not out.exists()

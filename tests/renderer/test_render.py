@@ -44,13 +44,8 @@ def test_same_bits_for_any_number_of_threads(monkeypatch):
 def test_same_bits_in_another_process_and_any_passes(monkeypatch, tmp_path):
     script = (
         "import sys, numpy as np\n"
-<<<<<<< HEAD
-        "from tests.renderer.test_render import SCENE; from gonio.core.jit import threads\n"
-        "from renderer.render import render; assert threads() == 8\n"
-=======
         "from tests.renderer.test_render import SCENE; from renderer.render import render\n"
         "from gonio.core import jit; assert jit.threads() == 8\n"
->>>>>>> renderer
         "np.save(sys.argv[1], render(SCENE, spp=9, seed=5).pixels)"
     )
     env = {**os.environ, "NUMBA_NUM_THREADS": "8", "PYTHONPATH": str(ROOT)}
