@@ -57,8 +57,8 @@ class Grid:
         levels: int | NDArray[np.int8],
     ) -> Array:
         """Averages of each lobe's two terms over cells, 1/sr, shape (N, 2 L); see `fitting.kernels`."""
-        levels = np.broadcast_to(np.asarray(levels, np.int8), len(cells)).copy()
-        return cell_terms(kinds, shapes, self.rows, self.rings, self.sectors, cells, levels, self.exact_rows)
+        each = np.broadcast_to(np.asarray(levels, np.int8), len(cells)).copy()
+        return cell_terms(kinds, shapes, (self.rows, self.rings, self.sectors), cells, each, self.exact_rows)
 
     def near_mirror(self, cells: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Cells within two cells of the mirror direction, where lobes are narrowest, shape (N,)."""

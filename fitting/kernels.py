@@ -8,11 +8,13 @@ so no direction is stored per cell and nothing is copied per evaluation. A table
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting.models.dispatch import lobe_terms
-from gonio.core.jit import kernel, prange
+from gonio.core.jit import kernel
+from gonio.core.parallel import for_each
 
-CHUNKS = 256  # fixed, so that sums do not depend on the number of threads
+CHUNKS = 32  # fixed, so that sums do not depend on the number of threads
 
 
 @kernel
@@ -37,15 +39,17 @@ def _average_terms(kinds, shapes, rows, rings, sectors, cell, level, exact_rows,
                     out[2 * k + 1] += w * second
 
 
-@kernel(parallel=True)
-def cell_terms(kinds, shapes, rows, rings, sectors, cells, levels, exact_rows):
+def cell_terms(
+    kinds: NDArray, shapes: NDArray, nodes: tuple, cells: NDArray, levels: NDArray, exact_rows: bool
+) -> NDArray[np.float64]:
     """Averages of the terms over many cells.
 
     Parameters
     ----------
     kinds : ndarray of int64, shape (L,)
     shapes : ndarray, shape (L, SIZE)
-    rows, rings, sectors : ndarray, shape (levels, n, nodes, 3)
+    nodes : tuple of three ndarrays, shape (levels, n, nodes, 3)
+        Of rows, rings and sectors.
     cells : ndarray of int32, shape (N, 3)
     levels : ndarray of int8, shape (N,)
     exact_rows : bool
@@ -58,20 +62,31 @@ def cell_terms(kinds, shapes, rows, rings, sectors, cells, levels, exact_rows):
     """
     n = len(cells)
     out = np.empty((n, 2 * len(kinds)))
-    for chunk in prange(CHUNKS):
-        for index in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):
-            level = np.int64(levels[index])
-            _average_terms(kinds, shapes, rows, rings, sectors, cells[index], level, exact_rows, out[index])
+
+    def task(chunk: int) -> None:
+        part = slice(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS)
+        _cell_terms(kinds, shapes, *nodes, cells[part], levels[part], exact_rows, out[part])
+
+    for_each(task, CHUNKS)
     return out
 
 
-@kernel(parallel=True)
-def normal_equations(kinds, shapes, rows, rings, sectors, cells, levels, exact_rows, values, weights):
+@kernel(allocates=False)
+def _cell_terms(kinds, shapes, rows, rings, sectors, cells, levels, exact_rows, out):
+    for index in range(len(cells)):
+        level = np.int64(levels[index])
+        _average_terms(kinds, shapes, rows, rings, sectors, cells[index], level, exact_rows, out[index])
+
+
+def normal_equations(
+    kinds: NDArray, shapes: NDArray, nodes: tuple, cells: NDArray, levels: NDArray, exact_rows: bool,
+    values: NDArray, weights: NDArray,
+) -> NDArray[np.float64]:  # fmt: skip
     """Weighted normal equations of every channel, the terms evaluated on the fly.
 
     Parameters
     ----------
-    kinds, shapes, rows, rings, sectors, cells, levels, exact_rows
+    kinds, shapes, nodes, cells, levels, exact_rows
         As `cell_terms`.
     values, weights : ndarray, shape (N, C)
 
@@ -83,20 +98,39 @@ def normal_equations(kinds, shapes, rows, rings, sectors, cells, levels, exact_r
     n, channels = values.shape
     size = 2 * len(kinds)
     parts = np.zeros((CHUNKS, channels, size, size + 1))
-    for chunk in prange(CHUNKS):
-        terms = np.empty(size)
-        part = parts[chunk]
-        for index in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):
-            level = np.int64(levels[index])
-            _average_terms(kinds, shapes, rows, rings, sectors, cells[index], level, exact_rows, terms)
-            for channel in range(channels):
-                w, y = weights[index, channel], values[index, channel]
-                for j in range(size):
-                    wt = w * terms[j]
-                    for k in range(j + 1):
-                        part[channel, j, k] += wt * terms[k]
-                    part[channel, j, size] += wt * y
+
+    def task(chunk: int) -> None:
+        part = slice(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS)
+        _normal_equations(
+            kinds,
+            shapes,
+            *nodes,
+            cells[part],
+            levels[part],
+            exact_rows,
+            values[part],
+            weights[part],
+            parts[chunk],
+        )
+
+    for_each(task, CHUNKS)
     return parts
+
+
+@kernel
+def _normal_equations(kinds, shapes, rows, rings, sectors, cells, levels, exact_rows, values, weights, part):
+    size = 2 * len(kinds)
+    terms = np.empty(size)
+    for index in range(len(cells)):
+        level = np.int64(levels[index])
+        _average_terms(kinds, shapes, rows, rings, sectors, cells[index], level, exact_rows, terms)
+        for channel in range(values.shape[1]):
+            w, y = weights[index, channel], values[index, channel]
+            for j in range(size):
+                wt = w * terms[j]
+                for k in range(j + 1):
+                    part[channel, j, k] += wt * terms[k]
+                part[channel, j, size] += wt * y
 
 
 @kernel

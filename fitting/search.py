@@ -67,9 +67,7 @@ class Objective:
         parts = normal_equations(
             self.kinds,
             self.shapes(x),
-            grid.rows,
-            grid.rings,
-            grid.sectors,
+            (grid.rows, grid.rings, grid.sectors),
             self.samples.cells,
             self.levels,
             grid.exact_rows,

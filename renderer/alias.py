@@ -26,29 +26,21 @@ def alias_table(weights: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.int
     scaled = np.array(weights, np.float64)
     total = scaled.sum()
     scaled = scaled * (len(scaled) / total) if total > 0 else np.ones(len(scaled))
-    threshold = np.ones(len(scaled), np.float32)
-    other = np.arange(len(scaled), dtype=np.int32)
-    small, large = np.flatnonzero(scaled < 1).astype(np.int32), np.flatnonzero(scaled >= 1).astype(np.int32)
-    _pair(scaled, small, large, threshold, other)
-    return threshold, other
-
-
-@kernel
-def _pair(scaled, small, large, threshold, other):
-    """Fill every column that is too short from one that is too long."""
-    stack = np.empty(len(scaled), np.int32)
-    stack[: len(small)] = small
-    n_small, i_large = len(small), 0
-    while n_small > 0 and i_large < len(large):
-        n_small -= 1
-        short, tall = stack[n_small], large[i_large]
-        threshold[short] = scaled[short]
+    heights = scaled.tolist()  # plain numbers: a loop that runs once a scene is not worth compiling
+    threshold, other = np.ones(len(heights), np.float32), np.arange(len(heights), dtype=np.int32)
+    small = np.flatnonzero(scaled < 1).tolist()
+    large = iter(np.flatnonzero(scaled >= 1).tolist())
+    tall = next(large, None)
+    # fill every column that is too short from one that is too tall
+    while small and tall is not None:
+        short = small.pop()
+        threshold[short] = heights[short]
         other[short] = tall
-        scaled[tall] -= 1.0 - scaled[short]
-        if scaled[tall] < 1.0:
-            i_large += 1
-            stack[n_small] = tall
-            n_small += 1
+        heights[tall] -= 1.0 - heights[short]
+        if heights[tall] < 1.0:
+            small.append(tall)
+            tall = next(large, None)
+    return threshold, other
 
 
 @kernel(allocates=False)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
 
-from gonio.core import jit
+from gonio.core.parallel import check_threads, for_each
 from gonio.progress import Report
 from microgeometry.errors import InputError
 from renderer.image import Image
@@ -42,7 +41,7 @@ def render(
         Pictures of different seeds are independent; the same seed gives the same bits, whatever the
         number of threads.
     threads : int, optional
-        ``NUMBA_NUM_THREADS``, or all cores, by default.
+        One a processor by default.
     progress : callable, optional
         Called about every second with the fraction done and a few words.
     stop : callable, optional
@@ -63,9 +62,7 @@ def render(
     spp = scene.spp if spp is None else spp
     if not 1 <= spp < 2**31:
         raise InputError(f"spp is {spp}; at least 1 sample a pixel is needed")
-    threads = jit.threads() if threads is None else threads
-    if threads < 1:
-        raise InputError(f"threads is {threads}; at least 1 is needed")
+    threads = check_threads(threads)
     packed = pack(scene, strategy)
     film = _Film(scene)
     film.run(packed, 0, 0, seed, threads)  # compiles, if need be, before the clock starts
@@ -109,14 +106,10 @@ class _Film:
         if first == last:
             task((0, 0))
             return
-        with ThreadPoolExecutor(threads) as pool:
-            try:
-                for n_rays, n_dropped in pool.map(task, pairwise(edges)):
-                    self.n_rays += n_rays
-                    self.n_dropped += n_dropped
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
+        spans = list(pairwise(edges))
+        for n_rays, n_dropped in for_each(lambda unit: task(spans[unit]), len(spans), threads):
+            self.n_rays += n_rays
+            self.n_dropped += n_dropped
 
     def image(self, spp: int, seconds: float, seed: int) -> Image:
         """Mean and standard error of the mean after `spp` samples."""

@@ -19,20 +19,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-_PROCESSORS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-# numba fixes the largest number of threads at import; leave room to ask for more than there are processors
-_ASKED = os.environ.get("NUMBA_NUM_THREADS")
-os.environ.setdefault("NUMBA_NUM_THREADS", str(max(_PROCESSORS, 8)))
-
-import numba  # noqa: E402
-from numba import prange  # noqa: E402
-from numba.core import config as _numba_config  # noqa: E402
-
-from microgeometry.errors import InputError  # noqa: E402
+import numba
+from numba.core import config as _numba_config
 
 config: Any = _numba_config  # its attributes are set at import, where mypy does not see them
 
-__all__ = ["disabled", "kernel", "prange", "set_threads", "threads"]
+__all__ = ["disabled", "kernel"]
 
 _ROOT = Path(__file__).resolve().parents[2]
 # Packages with kernels, lowest floor first. A kernel may call into its own floor and those below.
@@ -42,23 +34,15 @@ _UNUSED_DAYS = 30
 disabled: bool = bool(config.DISABLE_JIT)
 """True when kernels run as plain Python (NUMBA_DISABLE_JIT=1)."""
 
-if not disabled and _ASKED is None:
-    numba.set_num_threads(min(_PROCESSORS, config.NUMBA_NUM_THREADS))
 
-
-def kernel(
-    function: Callable | None = None, *, parallel: bool = False, inline: bool = False, allocates: bool = True
-) -> Any:
-    """Compile a function for numba's nopython mode, cached across processes.
+def kernel(function: Callable | None = None, *, inline: bool = False, allocates: bool = True) -> Any:
+    """Compile a function for numba's nopython mode, cached across processes, free of the interpreter's lock.
 
     Parameters
     ----------
     function : callable
         The function; its arguments' types select the specialisation, and an argument that is None
         removes the branches that ask for it.
-    parallel : bool
-        Whether `prange` loops run on all threads. Such a loop must write to places of its own
-        iteration only, so that results do not depend on the number of threads.
     inline : bool
         Inline into the caller at numba's level, for small helpers that return tuples.
     allocates : bool
@@ -79,7 +63,6 @@ def kernel(
         try:
             options: dict[str, Any] = {
                 "cache": True,
-                "parallel": parallel,
                 "nogil": True,
                 "error_model": "numpy",
                 "fastmath": {"contract"},
@@ -91,31 +74,6 @@ def kernel(
             config.CACHE_DIR = previous
 
     return decorate if function is None else decorate(function)
-
-
-def threads() -> int:
-    """Threads that parallel kernels run on: NUMBA_NUM_THREADS, or all processors this process may use."""
-    return 1 if disabled else numba.get_num_threads()
-
-
-def set_threads(count: int) -> None:
-    """Use this many threads for parallel kernels from now on.
-
-    Raises
-    ------
-    InputError
-        Less than 1, or more than numba was started with.
-    """
-    if count < 1:
-        raise InputError(f"threads: {count}; at least 1 is needed")
-    if disabled:
-        return
-    if count > config.NUMBA_NUM_THREADS:
-        raise InputError(
-            f"threads: {count}; at most {config.NUMBA_NUM_THREADS} in this process: set the environment "
-            f"variable NUMBA_NUM_THREADS={count} before it starts"
-        )
-    numba.set_num_threads(count)
 
 
 @lru_cache

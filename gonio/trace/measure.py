@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.core.directions import projected_solid_angles
-from gonio.core.jit import set_threads
 from gonio.core.lookup import axis
+from gonio.core.parallel import check_threads, for_each
 from gonio.progress import Report
 from gonio.table.checks import relative_noise
 from gonio.table.table import Table
-from gonio.trace.analog import trace_batch
+from gonio.trace.analog import trace_unit
 from gonio.trace.errors import TraceError
 from gonio.trace.scene import TraceScene, pack_optics
 from gonio.trace.tally import Tally
@@ -48,6 +48,8 @@ class Measurement:
         Paths planned in all; fixes the size of a batch so that at least 32 make up the plan.
     seed : int
         Everything drawn depends on it, on the batch and on the path, and on nothing else.
+    threads : int, optional
+        Default: one a processor. The result does not depend on it.
 
     Raises
     ------
@@ -55,13 +57,16 @@ class Measurement:
         A negative or too large seed, or no rays.
     """
 
-    def __init__(self, specimen: Specimen, rays: int = _DEFAULT_RAYS, seed: int = 0) -> None:
+    def __init__(
+        self, specimen: Specimen, rays: int = _DEFAULT_RAYS, seed: int = 0, threads: int | None = None
+    ) -> None:
         if rays < 1:
             raise InputError(f"rays: {rays}; at least 1 is needed")
         if not 0 <= seed < 2**32:
             raise InputError(f"seed: {seed}; an integer from 0 to 4294967295 is needed")
         self.specimen = specimen
         self.seed = seed
+        self._threads = check_threads(threads)
         grid = specimen.grid
         self._theta_edges = np.radians(np.linspace(0, 90, round(90 / grid.theta_step_deg) + 1))
         self._phi_edges = np.radians(np.linspace(0, 180, round(180 / grid.phi_step_deg) + 1))
@@ -108,14 +113,24 @@ class Measurement:
         paths_per_row = self.paths_per_batch // len(self._theta_i)
         coherent = paths_per_row * _COHERENT_FACETS >= scene.facets
         cells, specular, reflected, ledger = self.tally.accumulators
+        rows, chunks = cells.shape[:2]
+        packets = self._strata[0] * self._strata[1]
+
+        def trace(unit: int) -> None:
+            # neighbouring rows cost alike: deal them out, chunk by chunk
+            chunk, row = divmod(unit, rows)
+            place = row, chunk
+            trace_unit(
+                scene.embree, scene.box, coherent, self._optics.eta_k, self._optics.albedo, row,
+                self._sin2[0][row], self._sin2[1][row], self._theta_axis, self._phi_axis, *self._strata,
+                chunk * packets // chunks, (chunk + 1) * packets // chunks, self.seed, batch, MAX_BOUNCES,
+                cells[place], specular[place], reflected[place], ledger[place],
+            )  # fmt: skip
+
         tracing = time.perf_counter()
-        trace_batch(
-            scene.embree, scene.box, coherent, self._optics.eta_k, self._optics.albedo, *self._sin2, self._theta_axis,
-            self._phi_axis, *self._strata, cells.shape[1], self.seed, batch, MAX_BOUNCES,
-            cells, specular, reflected, ledger,
-        )  # fmt: skip
+        for_each(trace, rows * chunks, self._threads)
         self.trace_seconds += time.perf_counter() - tracing
-        self.tally.close_batch(paths_per_row)
+        self.tally.close_batch(paths_per_row, self._threads)
         self.seconds += time.perf_counter() - started
         self._check_lost(1e-3)
 
@@ -255,11 +270,9 @@ def start(
         raise InputError("rays and time: both given; give one of them as the budget")
     if seconds is not None and not 0 < seconds < float("inf"):
         raise InputError(f"time: {seconds}; a positive number of seconds is needed")
-    if threads is not None:
-        set_threads(threads)
     if seconds is not None:
         rays = max(1, int(seconds * _TRIAL_RATE))
-    return Measurement(specimen, _DEFAULT_RAYS if rays is None else rays, seed)
+    return Measurement(specimen, _DEFAULT_RAYS if rays is None else rays, seed, threads)
 
 
 def run(measurement: Measurement, seconds: float | None, progress: Report | None) -> None:

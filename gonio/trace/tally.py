@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.core.jit import kernel, prange
+from gonio.core.jit import kernel
+from gonio.core.parallel import for_each
 from gonio.trace.analog import LEDGER, LEDGER_COLUMNS, RAYS
 
 Array = NDArray[np.float64]
@@ -44,14 +45,19 @@ class Tally:
 
     @property
     def accumulators(self) -> tuple[Array, Array, Array, Array]:
-        """Where a batch is summed: cells, specular, reflected, ledger, as `analog.trace_batch` takes them."""
+        """Where a batch is summed, a row and chunk for each unit: cells, specular, reflected, ledger."""
         return self._cells, self._specular, self._reflected, self._ledger
 
-    def close_batch(self, paths_per_row: int) -> None:
+    def close_batch(self, paths_per_row: int, threads: int | None = None) -> None:
         """Take the sums in the accumulators as one batch of so many paths a row, and clear them."""
         self.batches += 1
         self.paths_per_row += paths_per_row
-        _close(self._cells, 1.0 / paths_per_row, self.batches, self._mean, self._square, self.hits)
+
+        def close(row: int) -> None:
+            scale = 1.0 / paths_per_row
+            _close(self._cells[row], scale, self.batches, self._mean[row], self._square[row], self.hits[row])
+
+        for_each(close, len(self.hits), threads)
         rows = (
             np.concatenate([self._specular.sum(axis=1), self._reflected.sum(axis=1)], axis=1) / paths_per_row
         )
@@ -106,21 +112,21 @@ class Tally:
         return float(np.max(error / np.maximum(albedo, 1e-300), initial=0.0, where=albedo > 0))
 
 
-@kernel(parallel=True)
+@kernel(allocates=False)
 def _close(cells, scale, batch, mean, square, hits):
-    """Welford's update of every cell with its sum over chunks, in chunk order; clears the sums."""
-    rows, chunks, count, columns = cells.shape
-    for row in prange(rows):
-        for cell in range(count):
-            paths = 0.0
+    """Welford's update of every cell of a row with its sum over chunks, in chunk order; clears the sums."""
+    chunks, count, columns = cells.shape
+    for cell in range(count):
+        paths = 0.0
+        for chunk in range(chunks):
+            paths += cells[chunk, cell, columns - 1]
+            cells[chunk, cell, columns - 1] = 0.0
+        hits[cell] += int(paths)
+        for channel in range(columns - 1):
+            total = 0.0
             for chunk in range(chunks):
-                paths += cells[row, chunk, cell, columns - 1]
-            hits[row, cell] += int(paths)
-            for channel in range(columns - 1):
-                total = 0.0
-                for chunk in range(chunks):
-                    total += cells[row, chunk, cell, channel]
-                delta = total * scale - mean[row, cell, channel]
-                mean[row, cell, channel] += delta / batch
-                square[row, cell, channel] += delta * (total * scale - mean[row, cell, channel])
-        cells[row] = 0.0
+                total += cells[chunk, cell, channel]
+                cells[chunk, cell, channel] = 0.0
+            delta = total * scale - mean[cell, channel]
+            mean[cell, channel] += delta / batch
+            square[cell, channel] += delta * (total * scale - mean[cell, channel])
