@@ -17,6 +17,7 @@ def test_every_unit_once_and_in_order(threads):
     assert sorted(seen) == list(range(20))
 
 
+@pytest.mark.compiled
 def test_two_threads_really_work_at_once():
     barrier = threading.Barrier(2, timeout=60)  # passes only if both tasks stand before it together
     for_each(lambda unit: barrier.wait(), 2, 2)

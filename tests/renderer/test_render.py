@@ -80,7 +80,7 @@ def test_stop_and_progress():
     assert seen == [image.provenance["spp"] / 1000]
 
 
-@pytest.mark.parametrize(("options", "words"), [({"spp": 0}, "spp is 0"), ({"threads": 0}, "threads is 0")])
+@pytest.mark.parametrize(("options", "words"), [({"spp": 0}, "spp is 0"), ({"threads": 0}, "threads: 0")])
 def test_bad_options(options, words):
     with pytest.raises(InputError, match=words):
         render(SCENE, **options)

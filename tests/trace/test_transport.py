@@ -86,6 +86,7 @@ def test_bounce_cap_kills_and_counts():
     assert np.all(paths.weight == 1)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(("slope", "albedo", "expected"), [
     # Fredholm's equation for an infinite Lambertian V-groove, normal incidence
     (30, 0.5, 0.46370), (30, 0.8, 0.77553), (45, 0.5, 0.41215), (45, 0.8, 0.73594),
