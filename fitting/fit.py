@@ -72,7 +72,8 @@ def fit(
         x = search(rough, x, budget, seed)
     final = refined(rough, x, samples, weight)
     if len(x):
-        x = polish(final, x, budget)
+        # chi^2 need not be known better than to a thousandth
+        x = polish(final, x, budget, 1e-3 / final.norm if name == "chi2" and final.norm > 0 else 0.0)
     coefficients, _ = final.solve(x)
     budget.evaluations += 1
 

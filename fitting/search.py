@@ -22,6 +22,8 @@ COARSE_CELLS = 6000
 _GLOBAL_EVALUATIONS = 120  # per shape parameter
 _LOCAL_EVALUATIONS = 20  # points with their gradient, per shape parameter
 _NEGLIGIBLE = 1e-13  # gain of the objective, relative to the sum of squared values
+_NEWTON_STEPS = 3
+_TRUST = 0.05  # longest of them
 _STEP = 2e-4  # of central differences, in the search's variables
 _POINTS = 2_500_000  # most quadrature points of the final stage
 
@@ -160,10 +162,19 @@ def search(objective: Objective, start: Array, budget: Budget, seed: int) -> Arr
     return watched.minimise(optimizer, start, lambda x, _gradient: watched(x))
 
 
-def polish(objective: Objective, start: Array, budget: Budget) -> Array:
-    """Minimise from a point close to the minimum: sequential quadratic programming on central differences.
+def polish(objective: Objective, start: Array, budget: Budget, negligible: float = 0.0) -> Array:
+    """Minimise from a point close to the minimum: Newton's steps, then sequential quadratic programming.
 
-    The variables are scaled to unit curvature first, which spares the method its own search for a scale.
+    Both on central differences. The variables are scaled to unit curvature first, which spares the
+    library's method its own search for a scale.
+
+    Parameters
+    ----------
+    objective : Objective
+    start : ndarray, shape (D,)
+    budget : Budget
+    negligible : float
+        Stop when less than this, relative to the sum of squared values, may still be gained; 1e-13 at least.
 
     Returns
     -------
@@ -171,6 +182,7 @@ def polish(objective: Objective, start: Array, budget: Budget) -> Array:
         The best point met, also where time ran out.
     """
     watched = _Watched(objective, budget, _LOCAL_EVALUATIONS, (0.5, 1.0))
+    negligible = max(negligible, _NEGLIGIBLE)
     dimensions = len(start)
     centre = np.clip(start, _STEP, 1.0 - _STEP)
 
@@ -184,7 +196,23 @@ def polish(objective: Objective, start: Array, budget: Budget) -> Array:
             curvature[d] = (up - 2.0 * middle + down) / _STEP**2
         return middle, gradient, curvature
 
+    def gain(point: tuple[float, Array, Array], x: Array) -> float:
+        """What there may still be to gain, if curvature is diagonal: g^2 / 2h, off the bounds."""
+        inside = (x > 2.0 * _STEP) & (x < 1.0 - 2.0 * _STEP) & (point[2] > 0)
+        return 0.5 * float(np.sum(point[1][inside] ** 2 / point[2][inside]))
+
     first = differences(centre)
+    # Newton's steps need three values for each parameter; a search by the library needs them several times
+    for _ in range(_NEWTON_STEPS):
+        convex = first[2] > 0
+        step = np.where(convex, -first[1] / np.where(convex, first[2], 1.0), 0.0)
+        moved = np.clip(centre + np.clip(step, -_TRUST, _TRUST), _STEP, 1.0 - _STEP)
+        there = differences(moved)
+        if gain(there, moved) < negligible:
+            return watched.best[1]
+        if not there[0] <= first[0]:
+            break
+        centre, first = moved, there
     steepest = first[2].max()
     if not (np.isfinite(steepest) and steepest > 0.0):
         return watched.best[1]  # flat: nothing to gain
@@ -195,9 +223,7 @@ def polish(objective: Objective, start: Array, budget: Budget) -> Array:
         middle, slope, _ = first if not z.any() else differences(x)
         if gradient.size:
             gradient[:] = slope * scale
-        # at unit curvature half the squared gradient is what there is still to gain
-        inside = (x > 2.0 * _STEP) & (x < 1.0 - 2.0 * _STEP)
-        if 0.5 * np.sum((slope * scale)[inside] ** 2) < _NEGLIGIBLE:
+        if gain((middle, slope, 1.0 / scale**2), x) < negligible:
             optimizer.force_stop()
         return middle
 
