@@ -55,7 +55,7 @@ def tabulate(fit: Fit, grid_like: Table | None = None, progress: Report | None =
         theta_r_edges=theta_r_edges,
         delta_phi_edges=delta_phi_edges,
         channels=fit.channels,
-        albedo=np.zeros((len(theta_i), len(fit.channels))),
+        row_albedo=np.zeros((len(theta_i), len(fit.channels))),
         theta_i_edges=theta_i_edges,
         wavelengths_nm=fit.wavelengths_nm,
         provenance={"model": fit.model, "fit": fit.to_json()},
@@ -67,7 +67,7 @@ def tabulate(fit: Fit, grid_like: Table | None = None, progress: Report | None =
         if progress is not None:
             progress((row + 1) / shape[0], f"row {row + 1} of {shape[0]}")
     albedo = np.einsum("irsc,rs->ic", values, bare.projected_solid_angles)
-    return bare.replace(values=values, albedo=albedo)
+    return bare.replace(values=values, row_albedo=albedo)
 
 
 def _row(fit: Fit, grid: Grid, row: int, shape: tuple[int, int]) -> Array:

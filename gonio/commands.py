@@ -144,7 +144,7 @@ def _one_line(table: Table, path: Path) -> str:
     p = table.provenance
     return (
         f"{path}: {p['paths'] / 1e6:.1f} M paths in {p['seconds']:.1f} s ({p['paths_per_second'] / 1e6:.2f} M/s), "
-        f"{p['batches']} batches, albedo {table.albedo.mean():.4f} +- {table.albedo_std_error.max():.1e}"
+        f"{p['batches']} batches, albedo {table.row_albedo.mean():.4f} +- {table.albedo_std_error.max():.1e}"
     )
 
 

@@ -30,7 +30,7 @@ def overlay(fit: Fit) -> Table:
         theta_r_edges=polar,
         delta_phi_edges=azimuth,
         channels=fit.channels,
-        albedo=np.zeros((30, channels)),
+        row_albedo=np.zeros((30, channels)),
     )
     return fit.table(grid)
 
@@ -134,13 +134,13 @@ def albedo(table: Table, overlays: Mapping[str, Table] | None = None) -> Figure:
     for channel, name in enumerate(table.channels):
         colour = _colour(name, channel)
         panel.errorbar(
-            degrees, table.albedo[:, channel], 2 * table.albedo_std_error[:, channel], fmt=".", ms=3, lw=0.8,
+            degrees, table.row_albedo[:, channel], 2 * table.albedo_std_error[:, channel], fmt=".", ms=3, lw=0.8,
             color=colour, label=f"{name} (± 2 standard errors)",
         )  # fmt: skip
     for style, (label, other) in zip(_STYLES * 9, (overlays or {}).items(), strict=False):
         for channel, name in enumerate(other.channels):
             panel.plot(
-                np.degrees(other.theta_i), other.albedo[:, channel], style, lw=1.1, color=_colour(name, channel),
+                np.degrees(other.theta_i), other.row_albedo[:, channel], style, lw=1.1, color=_colour(name, channel),
                 label=label if channel == 0 else None,
             )  # fmt: skip
     panel.set_xlabel("theta_i (degrees)")

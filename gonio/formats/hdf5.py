@@ -46,7 +46,7 @@ _DATA: dict[str, tuple[tuple[str, ...], str]] = {
     "std_error": (_GRID, "1/sr"),
     "hits": (_GRID[:3], "1"),
     "gaps": (_GRID[:3], "1"),
-    "albedo": (("theta_i", "channel"), "1"),
+    "row_albedo": (("theta_i", "channel"), "1"),
     "albedo_std_error": (("theta_i", "channel"), "1"),
     "specular": (("theta_i", "channel"), "1"),
     "specular_std_error": (("theta_i", "channel"), "1"),

@@ -71,11 +71,11 @@ def read(path: Path) -> Table:
         theta_r_edges=edges_i,
         delta_phi_edges=edges_phi,
         channels=("R", "G", "B"),
-        albedo=np.zeros((90, 3)),
+        row_albedo=np.zeros((90, 3)),
         gaps=gaps if gaps.any() else None,
         provenance={"source": Path(path).name, "format": "MERL", "phi_d_bins": bins.shape[2]},
     )
-    return table.replace(albedo=np.einsum("irpc,rp->ic", values, table.projected_solid_angles))
+    return table.replace(row_albedo=np.einsum("irpc,rp->ic", values, table.projected_solid_angles))
 
 
 def write(table: Table, path: Path) -> list[str]:

@@ -228,15 +228,15 @@ def _limit(n: int) -> float:
 
 
 def _energy(table: Table) -> Check:
-    allowed = 1.0 + _limit(table.albedo.size) * table.albedo_std_error + 1e-6
-    worst = np.unravel_index(np.argmax(table.albedo - allowed), table.albedo.shape)
-    passed = bool(np.all(table.albedo <= allowed))
+    allowed = 1.0 + _limit(table.row_albedo.size) * table.albedo_std_error + 1e-6
+    worst = np.unravel_index(np.argmax(table.row_albedo - allowed), table.row_albedo.shape)
+    passed = bool(np.all(table.row_albedo <= allowed))
     detail = (
-        f"largest albedo {table.albedo.max():.6f}; closest to its limit {allowed[worst]:.6f} is "
-        f"{table.albedo[worst]:.6f} at theta_i = {np.degrees(table.theta_i[worst[0]]):.4g} deg, "
+        f"largest albedo {table.row_albedo.max():.6f}; closest to its limit {allowed[worst]:.6f} is "
+        f"{table.row_albedo[worst]:.6f} at theta_i = {np.degrees(table.theta_i[worst[0]]):.4g} deg, "
         f"channel {table.channels[worst[1]]}"
     )
-    return Check("energy", passed, detail, {"albedo_max": table.albedo.max()})
+    return Check("energy", passed, detail, {"albedo_max": table.row_albedo.max()})
 
 
 def _consistency(table: Table) -> Check:
@@ -249,7 +249,7 @@ def _consistency(table: Table) -> Check:
     # without error bars the albedo may come from elsewhere (a TIS line, a compressed file's rounding)
     allowed = _limit(total.size) * np.sqrt(variance) + (1e-6 if table.std_error is not None else 1e-2) * total
     rows = np.ones(len(table.theta_i), bool) if table.gaps is None else ~table.gaps.any(axis=(1, 2))
-    difference = np.abs(table.albedo - total)
+    difference = np.abs(table.row_albedo - total)
     worst = float(difference[rows].max()) if rows.any() else 0.0
     passed = bool(np.all(difference[rows] <= allowed[rows])) if rows.any() else None
     detail = f"largest difference {worst:.3g} in {np.count_nonzero(rows)} rows without gaps"

@@ -99,7 +99,7 @@ def _layout(table: Table) -> tuple[tuple[int, int, int, int], list[NDArray]]:
         # float32 halves the memory traffic; what rounding takes from the integral, the factor gives back
         values[row] = nodes / np.maximum(nodes.max(axis=(0, 1)), np.finfo(float).tiny)
         integral = np.einsum("u,p,upc->c", weight_u, weight_phi, values[row].astype(float))
-        target = np.maximum(table.albedo[source] - table.specular[source], 0.0)
+        target = np.maximum(table.row_albedo[source] - table.specular[source], 0.0)
         factor = np.divide(target, integral, out=np.zeros(n_channels), where=integral > 0)
         mean[row, :, :, 0] = values[row] @ (factor / n_channels)
         fbar = mean[row, :, :, 0].astype(float)

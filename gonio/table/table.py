@@ -38,7 +38,7 @@ class Table:
         Increasing, from 0 to pi.
     channels : tuple of str
         Names of the C channels: ("R", "G", "B"), or one a wavelength.
-    albedo : ndarray, shape (I, C)
+    row_albedo : ndarray, shape (I, C)
         Directional-hemispherical reflectance of each row, delta term included.
     theta_i_edges : ndarray, shape (I + 1,), optional
         Rows are cells of incidence whose directions were drawn in proportion to projected solid angle;
@@ -72,7 +72,7 @@ class Table:
     theta_r_edges: Array
     delta_phi_edges: Array
     channels: tuple[str, ...]
-    albedo: Array
+    row_albedo: Array
     theta_i_edges: Array | None = None
     std_error: Array | None = None
     hits: NDArray[np.int64] | None = None
@@ -98,7 +98,7 @@ class Table:
             "theta_i_edges": (rows + 1,),
             "theta_r_edges": (rings + 1,),
             "delta_phi_edges": (sectors + 1,),
-            "albedo": (rows, channels),
+            "row_albedo": (rows, channels),
             "albedo_std_error": (rows, channels),
             "specular": (rows, channels),
             "specular_std_error": (rows, channels),
@@ -249,7 +249,7 @@ class Table:
         interpolation.pdf_many(self.pool, 0, wi, wo, out)
         return out.reshape(shape)
 
-    def directional_albedo(self, theta_i: ArrayLike) -> Array:
+    def albedo(self, theta_i: ArrayLike) -> Array:
         """Directional-hemispherical reflectance, delta term included, interpolated between the rows.
 
         Parameters
@@ -265,7 +265,7 @@ class Table:
         return albedo + specular
 
     def directional_specular(self, theta_i: ArrayLike) -> Array:
-        """Reflectance into exactly the mirror direction; as `directional_albedo`."""
+        """Reflectance into exactly the mirror direction; as `albedo`."""
         return self._row_quantities(theta_i)[1]
 
     def _row_quantities(self, theta_i: ArrayLike) -> tuple[Array, Array]:

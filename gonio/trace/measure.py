@@ -163,7 +163,7 @@ class Measurement:
             delta_phi_edges=self._phi_edges,
             channels=grid.channels,
             wavelengths_nm=grid.wavelengths_nm,
-            albedo=albedo,
+            row_albedo=albedo,
             albedo_std_error=albedo_error,
             specular=specular,
             specular_std_error=specular_error,

@@ -102,7 +102,9 @@ def test_check_compress_convert_fit_tabulate_report(folder):
 
 def test_check_fails_a_table_that_creates_energy(folder):
     table = Table.load(folder / "t.h5")
-    table.replace(values=table.values * 1.5, albedo=table.albedo * 1.5, ledger={}).save(folder / "bright.h5")
+    table.replace(values=table.values * 1.5, row_albedo=table.row_albedo * 1.5, ledger={}).save(
+        folder / "bright.h5"
+    )
     run = gonio("check", "bright.h5", cwd=folder)
     assert run.returncode == 1
     assert "energy" in run.stdout

@@ -52,7 +52,7 @@ def grid(rows: int, rings: int, sectors: int, theta_i_deg: list[float] | None = 
         theta_r_edges=np.linspace(0.0, np.pi / 2, rings + 1),
         delta_phi_edges=np.linspace(0.0, np.pi, sectors + 1),
         channels=RGB,
-        albedo=np.zeros((len(theta_i), 3)),
+        row_albedo=np.zeros((len(theta_i), 3)),
         theta_i_edges=edges if theta_i_deg is None else None,
     )
 

@@ -63,7 +63,7 @@ def test_tabulate_a_hand_written_file(tmp_path: Path) -> None:
     assert result.exception is None, result.exception
     table = Table.load(tmp_path / "T.h5")
     assert table.values.shape == (90, 90, 180, 1)
-    assert np.all(table.albedo < 1.0)
+    assert np.all(table.row_albedo < 1.0)
     assert Fit.load(tmp_path / "F.json").channels == table.channels
 
 

@@ -114,7 +114,9 @@ def test_albedo_of_a_table_is_the_models(truth: Fit) -> None:
     table = truth.table(grid(0, 45, 90, theta_i_deg=angles))
     for row, angle in enumerate(angles):
         # two independent integrals: cell quadrature, and the lobe's own sampling
-        assert table.albedo[row] == pytest.approx(directional_albedo(truth, math.radians(angle)), rel=2e-3)
+        assert table.row_albedo[row] == pytest.approx(
+            directional_albedo(truth, math.radians(angle)), rel=2e-3
+        )
     assert table.theta_i_edges is None
 
 
@@ -124,7 +126,7 @@ def test_lambert_is_exact_in_every_cell() -> None:
     assert table.values == pytest.approx(
         np.broadcast_to(np.array([0.9, 0.5, 0.0]) / math.pi, table.values.shape)
     )
-    assert table.albedo == pytest.approx(np.broadcast_to([0.9, 0.5, 0.0], table.albedo.shape))
+    assert table.row_albedo == pytest.approx(np.broadcast_to([0.9, 0.5, 0.0], table.row_albedo.shape))
 
 
 @pytest.mark.compiled

@@ -129,8 +129,8 @@ DAMAGE = {
     "no version": (attribute("version", "x"), "attribute version"),
     "no values": (drop("values"), "dataset values is missing"),
     "no channel": (drop("channel"), "dataset channel is missing"),
-    "no albedo": (drop("albedo"), "dataset albedo is missing"),
-    "shape": (put("albedo", np.zeros((5, 3))), r"albedo: shape \(5, 3\); \(6, 3\) is expected"),
+    "no albedo": (drop("row_albedo"), "dataset row_albedo is missing"),
+    "shape": (put("row_albedo", np.zeros((5, 3))), r"row_albedo: shape \(5, 3\); \(6, 3\) is expected"),
     "text values": (put("values", "hello"), "dataset values holds .*numbers are expected"),
     "float hits": (put("hits", np.zeros((6, 7, 8))), "dataset hits holds float64; integers"),
     "nan": (put("values", np.full((6, 7, 8, 3), np.nan)), "values: contains NaN"),
@@ -138,7 +138,7 @@ DAMAGE = {
     "axis": (put("theta_r_edges", np.linspace(0, 2, 8)), "theta_r_edges: must increase"),
     "ledger": (attribute("ledger", "{nonsense"), "attribute ledger is no JSON"),
     "group": (
-        lambda p: edit(p, lambda f: (f.__delitem__("albedo"), f.create_group("albedo"))),
+        lambda p: edit(p, lambda f: (f.__delitem__("row_albedo"), f.create_group("row_albedo"))),
         "albedo holds a group",
     ),
 }

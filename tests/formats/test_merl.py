@@ -104,7 +104,7 @@ def test_asymmetric_function(analytic):
         np.testing.assert_allclose(table.values[row, :85], expected, rtol=0.06)
     assert table.values[60, 60, 0, 0] > 1.3 * table.values[60, 60, -1, 0]
     # DHR = pi x 0.1: the sideways term cancels over the azimuth. Only grazing rows have cells without data.
-    np.testing.assert_allclose(table.albedo[:80, 0], 0.1 * np.pi, rtol=0.01)
+    np.testing.assert_allclose(table.row_albedo[:80, 0], 0.1 * np.pi, rtol=0.01)
     assert table.gaps is not None
     assert table.gaps.mean() < 1e-3
 
@@ -229,7 +229,7 @@ def test_real_material(real_data, tmp_path):
     rms = np.sqrt(np.sum(((read - truth) * cosine) ** 2) / np.sum((truth * cosine) ** 2))
     assert rms < 0.04, rms
     assert np.median(np.abs(read - truth) / truth) < 0.05
-    assert np.all(table.albedo[:85] < 1)
+    assert np.all(table.row_albedo[:85] < 1)
     losses = formats.convert(path, tmp_path / "gold.h5")
     assert losses == []
     np.testing.assert_array_equal(Table.load(tmp_path / "gold.h5").values, table.values)

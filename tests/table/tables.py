@@ -44,12 +44,12 @@ def make(
         theta_r_edges=edges_r,
         delta_phi_edges=edges_phi,
         channels=CHANNELS[: len(tint)],
-        albedo=np.zeros((len(rows), len(tint))),
+        row_albedo=np.zeros((len(rows), len(tint))),
         specular=specular,
         **fields,
     )
     albedo = np.einsum("irpc,rp->ic", values, table.projected_solid_angles) + table.specular
-    return table.replace(albedo=albedo)
+    return table.replace(row_albedo=albedo)
 
 
 def lambert(wi, wo):

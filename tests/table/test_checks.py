@@ -33,7 +33,7 @@ def poisson(brdf, rng, paths, edges, asymmetry=0.0, batches=None, tint=(1.0,)):
     return truth.replace(
         values=values,
         std_error=error,
-        albedo=albedo,
+        row_albedo=albedo,
         hits=counts[..., 0],
         albedo_std_error=np.sqrt(albedo / (paths / len(truth.theta_i))),
         provenance={} if batches is None else {"batches": batches},
@@ -107,9 +107,9 @@ def test_energy():
     rng = np.random.default_rng(seed_from("energy"))
     table = poisson(ggx(0.5, 0.9), rng, 1e6, grid(20, 20, 30))
     sigma = table.albedo_std_error
-    bright = table.replace(albedo=np.where(np.arange(20)[:, None] == 7, 1 + 3 * sigma, table.albedo))
+    bright = table.replace(row_albedo=np.where(np.arange(20)[:, None] == 7, 1 + 3 * sigma, table.row_albedo))
     assert named(check(bright), "energy").passed
-    bright = table.replace(albedo=np.where(np.arange(20)[:, None] == 7, 1 + 6 * sigma, table.albedo))
+    bright = table.replace(row_albedo=np.where(np.arange(20)[:, None] == 7, 1 + 6 * sigma, table.row_albedo))
     assert named(check(bright), "energy").passed is False
     assert named(check(bright), "albedo is the sum over cells").passed is False
 

@@ -66,8 +66,8 @@ def test_rows_reintegrate_to_albedo(name):
     for row in range(0, len(rows), 1 if not disabled else 10):
         values = table.eval(direction(rows[row]), wo)
         # at the pole direction() forgets the azimuth, but the node is the same for all
-        np.testing.assert_allclose(np.einsum("up,upc->c", weights, values), table.albedo[row], rtol=1e-10)
-        np.testing.assert_allclose(table.directional_albedo(rows[row]), table.albedo[row], rtol=1e-10)
+        np.testing.assert_allclose(np.einsum("up,upc->c", weights, values), table.row_albedo[row], rtol=1e-10)
+        np.testing.assert_allclose(table.albedo(rows[row]), table.row_albedo[row], rtol=1e-10)
 
 
 def test_albedo_leaves_the_delta_term_out():
@@ -78,7 +78,7 @@ def test_albedo_leaves_the_delta_term_out():
     np.testing.assert_allclose(mirror.pdf(wi, wo), plain.pdf(wi, wo), rtol=1e-12)
     theta = np.array([0.0, 0.4, np.pi / 2])
     np.testing.assert_allclose(mirror.directional_specular(theta), 0.25)
-    np.testing.assert_allclose(mirror.directional_albedo(theta), plain.directional_albedo(theta) + 0.25)
+    np.testing.assert_allclose(mirror.albedo(theta), plain.albedo(theta) + 0.25)
 
 
 def test_lambert_is_constant_with_pole_and_horizon():
@@ -103,7 +103,7 @@ def test_below_the_horizon_nothing():
         assert np.all(table.eval(wi, wo) == 0)
         assert table.pdf(wi, wo) == 0
     assert table.sample(below, [0.3, 0.3, 0.3])[1] == 0
-    assert np.all(table.directional_albedo(2.0) == 0)
+    assert np.all(table.albedo(2.0) == 0)
 
 
 def test_values_at_cell_centres_are_the_cells():
@@ -134,7 +134,7 @@ def test_isotropic_at_normal_incidence():
         noisy = table.replace(values=table.values * rng.uniform(0.5, 1.5, table.values.shape))
         values = noisy.eval(direction(0.0), direction(0.6, np.linspace(0, 6, 7)))
         np.testing.assert_allclose(values, np.broadcast_to(values[0], values.shape), rtol=1e-6)
-        np.testing.assert_allclose(noisy.directional_albedo(0.0), noisy.albedo[0], rtol=1e-12)
+        np.testing.assert_allclose(noisy.albedo(0.0), noisy.row_albedo[0], rtol=1e-12)
 
 
 def test_zero_and_partly_zero_tables():
@@ -148,12 +148,10 @@ def test_zero_and_partly_zero_tables():
     values = np.zeros((3, 4, 5, 1))
     values[1, 2, 3] = 2.0
     edges = np.linspace(0, np.pi / 2, 4), np.linspace(0, np.pi / 2, 5), np.linspace(0, np.pi, 6)
-    lit = make(lambert, edges, tint=(1.0,)).replace(values=values, albedo=[[0.0], [0.3], [0.0]])
+    lit = make(lambert, edges, tint=(1.0,)).replace(values=values, row_albedo=[[0.0], [0.3], [0.0]])
     wo, pdf = lit.sample(direction(0.8), rng.random((500, 3)))
     assert np.all(pdf > 0)
-    np.testing.assert_allclose(
-        lit.eval(direction(0.8), wo)[:, 0] * wo[:, 2] / pdf, lit.directional_albedo(0.8)[0]
-    )
+    np.testing.assert_allclose(lit.eval(direction(0.8), wo)[:, 0] * wo[:, 2] / pdf, lit.albedo(0.8)[0])
 
 
 def test_extreme_uniforms():

@@ -45,7 +45,7 @@ def test_flat_lambert_in_every_cell_pole_and_horizon():
     assert smallest > 1e-3 / table.hits.size
     expected = table.hits * 0.6 / (paths * table.projected_solid_angles)
     assert table.values[..., 0] == pytest.approx(expected, rel=1e-9)
-    assert table.albedo == pytest.approx(0.6, abs=1e-12)
+    assert table.row_albedo == pytest.approx(0.6, abs=1e-12)
 
 
 def test_error_bars_are_the_scatter_in_every_ring():
@@ -73,7 +73,7 @@ def test_white_furnace_of_mirrors(alpha):
     assert table.ledger["lost"] == 0
     assert table.ledger["killed"] == 0
     assert table.ledger["reflected"] == table.ledger["paths"]
-    assert table.albedo == pytest.approx(np.ones((len(angles), 1)), abs=1e-9)
+    assert table.row_albedo == pytest.approx(np.ones((len(angles), 1)), abs=1e-9)
     assert table.hits.sum() == table.ledger["paths"]
 
 
@@ -86,19 +86,19 @@ def test_white_furnace_of_ten_million_paths(alpha):
     paths = table.ledger["paths"]
     assert table.ledger["lost"] <= 1e-6 * paths
     assert table.ledger["reflected"] + table.ledger["lost"] + table.ledger["killed"] == paths
-    reflected = table.albedo.mean() * paths
+    reflected = table.row_albedo.mean() * paths
     assert reflected == pytest.approx(paths - table.ledger["lost"] - table.ledger["killed"], abs=1e-9 * paths)
 
 
 def test_cells_and_delta_term_make_up_the_albedo():
     table = measure(specimen(gaussian(0.4), {"kind": "conductor", "name": "Au"}, **COARSE), rays=100_000)
     cells = np.einsum("irpc,rp->ic", table.values, table.projected_solid_angles)
-    assert cells + table.specular == pytest.approx(table.albedo, rel=1e-12)
+    assert cells + table.specular == pytest.approx(table.row_albedo, rel=1e-12)
     assert np.all(table.specular == 0)
     ledger = table.ledger
     ends = sum(ledger[name] for name in ("reflected", "transmitted", "absorbed", "killed", "lost"))
     assert ends == pytest.approx(ledger["paths"], rel=1e-12)
-    assert np.mean(table.albedo) == pytest.approx(ledger["reflected"] / ledger["paths"], rel=1e-12)
+    assert np.mean(table.row_albedo) == pytest.approx(ledger["reflected"] / ledger["paths"], rel=1e-12)
 
 
 def test_flat_mirror_is_a_delta_term():
@@ -114,7 +114,7 @@ def test_flat_mirror_is_a_delta_term():
             expected = sum(fresnel_conductor(math.cos(math.radians(angle)), eta, k)) / 2
             # the tracer's directions are single precision
             assert table.specular[row, channel] == pytest.approx(expected, rel=1e-6)
-    assert table.albedo == pytest.approx(table.specular)
+    assert table.row_albedo == pytest.approx(table.specular)
 
 
 def test_delta_phi_is_pi_on_the_mirror_side():
@@ -122,7 +122,7 @@ def test_delta_phi_is_pi_on_the_mirror_side():
     table = measure(
         specimen(gaussian(0.02), MIRROR, theta_i_deg=[40], theta_step_deg=10, phi_step_deg=20), rays=20_000
     )
-    row = (table.values[0, :, :, 0] * table.projected_solid_angles) / table.albedo[0]
+    row = (table.values[0, :, :, 0] * table.projected_solid_angles) / table.row_albedo[0]
     assert row[3:5, -1].sum() > 0.99
 
 
@@ -154,7 +154,7 @@ def test_error_bars_hold_the_scatter_of_realisations():
     spec = specimen(gaussian(0.5, samples=32, size=8), {"kind": "conductor", "eta": 1.0, "k": 2.0}, theta_i_deg=[60],
                     **COARSE)  # fmt: skip
     tables = [measure(spec, rays=300_000, seed=s) for s in range(12)]
-    albedo = np.array([t.albedo[0, 0] for t in tables])
+    albedo = np.array([t.row_albedo[0, 0] for t in tables])
     claimed = np.mean([t.albedo_std_error[0, 0] ** 2 for t in tables])
     # 11 degrees of freedom: the ratio is within these bounds but for a chance of 1e-3
     low, high = stats.chi2.ppf([5e-4, 1 - 5e-4], 11) / 11
@@ -177,7 +177,7 @@ s = parse_specimen({"surface": {"kind": "gaussian", "alpha": 0.5, "samples": 64,
                     "material": {"kind": "conductor", "name": "Au"},
                     "grid": {"theta_step_deg": 10, "phi_step_deg": 20}})
 t = measure(s, rays=100_000, seed=5, threads=int(sys.argv[1]))
-print(hashlib.sha256(b"".join(a.tobytes() for a in (t.values, t.std_error, t.hits, t.albedo))).hexdigest())
+print(hashlib.sha256(b"".join(a.tobytes() for a in (t.values, t.std_error, t.hits, t.row_albedo))).hexdigest())
 """
 
 
@@ -201,7 +201,7 @@ def test_seed_changes_the_numbers_and_nothing_else():
     a, b, c = (measure(spec, rays=20_000, seed=s) for s in (1, 1, 2))
     assert np.array_equal(a.values, b.values)
     assert not np.array_equal(a.values, c.values)
-    assert c.albedo == pytest.approx(a.albedo)
+    assert c.row_albedo == pytest.approx(a.row_albedo)
 
 
 def test_mesh_with_a_hole_is_refused_with_advice(tmp_path):

@@ -54,7 +54,7 @@ def encode(table: Table, bound: Array) -> dict[str, Any]:
     inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
     coefficients = _forward(table.values * weights[:, :, None] * inverse[:, None, None])
     total = np.einsum("irpc,rp->ic", table.values, areas)
-    target = table.albedo - table.specular
+    target = table.row_albedo - table.specular
     # where the albedo is not that of the cells, scaling to it would not restore them
     rescaled = bool(np.allclose(total, target, rtol=1e-9, atol=1e-12))
 
@@ -124,7 +124,7 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> Array:
     coefficients[_order(shape)[places]] = kept * step
     weights = cosine_weights(edges_r, edges_phi)
     areas = projected_solid_angles(edges_r, edges_phi)
-    target = np.asarray(fields["albedo"], float) - fields.get("specular", 0.0) if rescaled else None
+    target = np.asarray(fields["row_albedo"], float) - fields.get("specular", 0.0) if rescaled else None
     gaps = fields.get("gaps")
     return _restore(_backward(coefficients.reshape(shape)), scale, rings, weights, areas, target, gaps)
 

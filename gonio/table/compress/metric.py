@@ -46,7 +46,7 @@ def row_noise(table: Table) -> Array:
     Cells without hits carry an upper bound for an error, not an error; they are left out.
     """
     if table.std_error is None:
-        return np.zeros(table.albedo.shape)
+        return np.zeros(table.row_albedo.shape)
     weights = cosine_weights(table.theta_r_edges, table.delta_phi_edges)
     norms = row_norms(table.values, weights)
     noise = row_norms(np.where(table.values > 0, table.std_error, 0.0), weights)
