@@ -44,7 +44,7 @@ KILLED = 3  # still bouncing at the cap
 LOST = 4  # fell through the surface or wandered without end: numerics, or a hole in the mesh
 
 ROULETTE_BOUNCES = 4
-MAX_CROSSINGS = 100_000
+MAX_SEGMENTS = 100_000  # of a path, crossings of the tile's faces included: no path can go on for ever
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
@@ -134,12 +134,13 @@ def trace_packet(
     ints = packet.view(np.int32)
     weight[:, :] = 1.0
     bounces[:] = 0
-    crossings = 0
+    segments = 0
     active = PACKET_WIDTH
     rays = 0
     while active > 0:
         intersect16(embree, packet, coherent)
         rays += active
+        segments += 1
         for lane in range(PACKET_WIDTH):
             if ints[VALID, lane] == 0:
                 continue
@@ -156,9 +157,8 @@ def trace_packet(
                 )  # fmt: skip
             else:
                 end = _cross(box, packet, lane)
-                crossings += 1
-                if crossings > MAX_CROSSINGS:
-                    end = LOST
+            if end == 0 and segments >= MAX_SEGMENTS:
+                end = LOST
             if end != 0:
                 status[lane] = end
                 ints[VALID, lane] = 0

@@ -147,3 +147,17 @@ def test_scale_and_shift_do_not_matter(factor, shift):
     # a path that grazes an edge may go the other way: at most a few in 4096
     assert np.mean(~same) < 2e-3
     assert b.weight.mean() == pytest.approx(a.weight.mean(), abs=1e-5)
+
+
+def test_grazing_light_crosses_many_tiles_and_comes_out():
+    paths = Paths(v_groove(45), Mirror(), 89.99, side=4)
+    assert np.all(paths.status == REFLECTED)
+
+
+@pytest.mark.compiled
+def test_no_path_goes_on_for_ever():
+    """Ramps at 45 degrees without a back turn light from above level: it runs on below all of them."""
+    vertices = np.array([[0, 0, 0], [1, 0, 1], [1, 1, 1], [0, 1, 0]], float)
+    ramp = TriangleMesh(vertices, np.array([[0, 1, 2], [0, 2, 3]], np.int32), (0.0, 0.0), (1.0, 1.0))
+    paths = Paths(ramp, Mirror(), 0, side=1)
+    assert np.all(paths.status == LOST)
