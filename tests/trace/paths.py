@@ -14,13 +14,14 @@ from gonio.trace.transport import start_packet, trace_packet
 @kernel
 def _trace(embree, box, eta_k, albedo, wi, side, max_bounces, seed, exits, weight, bounces, status, absorbed):
     packet = new_packet()
+    rays = 0
     dx, dy = box.width_x / (4 * side), box.width_y / (4 * side)
     for k in range(side * side):
         i, j = k // side, k % side
         path = 16 * k
         start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, 0, path)
         lanes = slice(path, path + PACKET_WIDTH)
-        trace_packet(
+        rays += trace_packet(
             embree, box, True, packet, eta_k, albedo, max_bounces, seed, 0, path,
             weight[lanes], bounces[lanes], status[lanes], absorbed,
         )  # fmt: skip
@@ -28,6 +29,7 @@ def _trace(embree, box, eta_k, albedo, wi, side, max_bounces, seed, exits, weigh
             exits[path + lane, 0] = packet[DIR_X, lane]
             exits[path + lane, 1] = packet[DIR_Y, lane]
             exits[path + lane, 2] = packet[DIR_Z, lane]
+    return rays
 
 
 class Paths:
@@ -46,7 +48,7 @@ class Paths:
         self.status = np.zeros(n, np.int64)
         self.absorbed = np.zeros(channels)
         wi = tuple(direction(np.radians(theta_i_deg)).tolist())
-        _trace(
+        self.rays = _trace(
             scene.embree, scene.box, *optics, wi, side, max_bounces, seed,
             self.exits, self.weight, self.bounces, self.status, self.absorbed,
         )  # fmt: skip

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from gonio.core.optics import fresnel_conductor
-from gonio.trace.transport import ABSORBED, KILLED, LOST, REFLECTED
+from gonio.trace.transport import ABSORBED, KILLED, LOST, MAX_SEGMENTS, REFLECTED
 from microgeometry.materials import Conductor, Lambert, Mirror
 from microgeometry.specimen import parse_specimen
 from microgeometry.tile import HeightField, TriangleMesh
@@ -161,3 +161,4 @@ def test_no_path_goes_on_for_ever():
     ramp = TriangleMesh(vertices, np.array([[0, 1, 2], [0, 2, 3]], np.int32), (0.0, 0.0), (1.0, 1.0))
     paths = Paths(ramp, Mirror(), 0, side=1)
     assert np.all(paths.status == LOST)
+    assert paths.rays == 16 * MAX_SEGMENTS
