@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import ClassVar, Protocol
 
 from microgeometry.keys import Keys
+from microgeometry.surfaces.exponential import Exponential
 from microgeometry.surfaces.flat import Flat
 from microgeometry.surfaces.gaussian import Gaussian
 from microgeometry.surfaces.heightmap import HeightMap
 from microgeometry.surfaces.mesh import Mesh
+from microgeometry.surfaces.self_affine import SelfAffine
 from microgeometry.surfaces.v_groove import VGroove
 from microgeometry.tile import Tile
 
@@ -43,6 +45,14 @@ class Surface(Protocol):
         ...
 
 
-_ALL: tuple[type[Surface], ...] = (Flat, Gaussian, VGroove, HeightMap, Mesh)
+_ALL: tuple[type[Surface], ...] = (
+    Flat,
+    Gaussian,
+    Exponential,
+    SelfAffine,
+    VGroove,
+    HeightMap,
+    Mesh,
+)
 
 SURFACES: dict[str, type[Surface]] = {surface.kind: surface for surface in _ALL}

@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from microgeometry.specimen import Specimen, parse_specimen
@@ -36,3 +37,10 @@ def tile_of(specimen_of):
         return specimen_of(kind, **keys).surface.realise(seed)
 
     return build
+
+
+def z_score(values, expected):
+    """Distance of the mean from its expected value in standard errors, and the relative standard error."""
+    values = np.asarray(values)
+    std_error = values.std(ddof=1) / np.sqrt(len(values))
+    return abs(values.mean() - expected) / std_error, std_error / expected
