@@ -11,11 +11,13 @@ from pathlib import Path
 from typing import ClassVar, Protocol
 
 from microgeometry.keys import Keys
+from microgeometry.surfaces.bosses import Bosses
 from microgeometry.surfaces.exponential import Exponential
 from microgeometry.surfaces.flat import Flat
 from microgeometry.surfaces.gaussian import Gaussian
 from microgeometry.surfaces.heightmap import HeightMap
 from microgeometry.surfaces.mesh import Mesh
+from microgeometry.surfaces.pits import Pits
 from microgeometry.surfaces.self_affine import SelfAffine
 from microgeometry.surfaces.v_groove import VGroove
 from microgeometry.tile import Tile
@@ -51,6 +53,8 @@ _ALL: tuple[type[Surface], ...] = (
     Exponential,
     SelfAffine,
     VGroove,
+    Pits,
+    Bosses,
     HeightMap,
     Mesh,
 )
