@@ -35,7 +35,9 @@ class Surface(Protocol):
     """
 
     kind: ClassVar[str]
-    is_random: ClassVar[bool]
+
+    @property
+    def is_random(self) -> bool: ...  # noqa: D102
 
     @classmethod
     def from_keys(cls, keys: Keys, folder: Path) -> Surface:

@@ -173,11 +173,11 @@ def _cap(
     # how each is turned, is drawn: so facets take every inclination over the seeds. The last gap is at
     # least 3/4 of one: a hemisphere is so steep there that a nearer ring would stand out over the rim's edges.
     step = 2.0 * pi * rim / (segments * slope)
-    polar: list[NDArray[np.float64]] = [np.ones(len(angles))]
-    azimuth: list[NDArray[np.float64]] = [angles]
-    for at in np.arange(rng.uniform() * step, 1.0 - 0.75 * step, step):
+    polar: list[np.ndarray] = [np.ones(len(angles))]
+    azimuth: list[np.ndarray] = [angles]
+    for at in np.arange(rng.uniform() * step, 1.0 - 0.75 * step, step).tolist():
         count = max(1, round(segments * sin(at * slope) / rim))
-        polar.append(at * np.ones(count))
+        polar.append(np.full(count, at))
         azimuth.append((np.arange(count) + rng.uniform()) * (2.0 * pi / count))
     u, phi = np.concatenate(polar), np.concatenate(azimuth)
     faces = Delaunay(np.column_stack((u * np.cos(phi), u * np.sin(phi)))).simplices
