@@ -17,6 +17,7 @@ from microgeometry.surfaces.flat import Flat
 from microgeometry.surfaces.gaussian import Gaussian
 from microgeometry.surfaces.heightmap import HeightMap
 from microgeometry.surfaces.mesh import Mesh
+from microgeometry.surfaces.ndf import Ndf
 from microgeometry.surfaces.pits import Pits
 from microgeometry.surfaces.self_affine import SelfAffine
 from microgeometry.surfaces.v_groove import VGroove
@@ -54,6 +55,7 @@ _ALL: tuple[type[Surface], ...] = (
     Gaussian,
     Exponential,
     SelfAffine,
+    Ndf,
     VGroove,
     Pits,
     Bosses,
