@@ -13,12 +13,14 @@ from typing import ClassVar, Protocol
 from microgeometry.keys import Keys
 from microgeometry.surfaces.bosses import Bosses
 from microgeometry.surfaces.exponential import Exponential
+from microgeometry.surfaces.fibres import Fibres
 from microgeometry.surfaces.flat import Flat
 from microgeometry.surfaces.gaussian import Gaussian
 from microgeometry.surfaces.heightmap import HeightMap
 from microgeometry.surfaces.mesh import Mesh
 from microgeometry.surfaces.ndf import Ndf
 from microgeometry.surfaces.pits import Pits
+from microgeometry.surfaces.pyramids import Pyramids
 from microgeometry.surfaces.self_affine import SelfAffine
 from microgeometry.surfaces.v_groove import VGroove
 from microgeometry.tile import Tile
@@ -59,6 +61,8 @@ _ALL: tuple[type[Surface], ...] = (
     VGroove,
     Pits,
     Bosses,
+    Pyramids,
+    Fibres,
     HeightMap,
     Mesh,
 )
