@@ -22,6 +22,7 @@ from microgeometry.surfaces.ndf import Ndf
 from microgeometry.surfaces.pits import Pits
 from microgeometry.surfaces.pyramids import Pyramids
 from microgeometry.surfaces.self_affine import SelfAffine
+from microgeometry.surfaces.spheres import Spheres
 from microgeometry.surfaces.v_groove import VGroove
 from microgeometry.tile import Tile
 
@@ -63,6 +64,7 @@ _ALL: tuple[type[Surface], ...] = (
     Bosses,
     Pyramids,
     Fibres,
+    Spheres,
     HeightMap,
     Mesh,
 )

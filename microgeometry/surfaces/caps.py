@@ -76,7 +76,7 @@ class Caps:
         # In units of the sphere's radius.
         slope = acos(1.0 - self.depth)  # of the cap at its rim
         rim = sin(slope) if self.depth < 1 else 1.0
-        size, centres = self._arrange(rng, rim)
+        size, centres = arrange(rng, self.arrangement, self.cover, rim, _N_RANDOM)
         vertices, faces, outlines, n = [], [], [], 0
         for centre in centres:
             angles = _rim_angles(rng, self.segments, centre, rim, size)
@@ -96,20 +96,21 @@ class Caps:
         periods = (size[0] * self.radius, size[1] * self.radius)
         return TriangleMesh(tile.vertices * self.radius, tile.faces, (0.0, 0.0), periods)
 
-    def _arrange(
-        self, rng: np.random.Generator, rim: float
-    ) -> tuple[tuple[float, float], NDArray[np.float64]]:
-        """Periods, and the centres within them, in units of the sphere's radius."""
-        disc = pi * rim**2 / self.cover  # area of the plane to each cap
-        if self.arrangement == "square":
-            side = sqrt(disc)
-            return (side, side), np.array([(0.5 * side, 0.5 * side)])
-        if self.arrangement == "hexagonal":
-            pitch = sqrt(disc * 2.0 / sqrt(3.0))
-            size = (pitch, sqrt(3.0) * pitch)
-            return size, np.array([(0.5 * size[0], 0.25 * size[1]), (0.0, 0.75 * size[1])])
-        side = sqrt(_N_RANDOM * disc)
-        return (side, side), scatter(rng, _N_RANDOM, 2.0 * _RANDOM_GAP * rim, side)
+
+def arrange(
+    rng: np.random.Generator, arrangement: str, cover: float, radius: float, n_random: int
+) -> tuple[tuple[float, float], NDArray[np.float64]]:
+    """Periods of a tile, and centres (n, 2) in it, of discs that cover this fraction of the plane."""
+    disc = pi * radius**2 / cover  # area of the plane to each
+    if arrangement == "square":
+        side = sqrt(disc)
+        return (side, side), np.array([(0.5 * side, 0.5 * side)])
+    if arrangement == "hexagonal":
+        pitch = sqrt(disc * 2.0 / sqrt(3.0))
+        size = (pitch, sqrt(3.0) * pitch)
+        return size, np.array([(0.5 * size[0], 0.25 * size[1]), (0.0, 0.75 * size[1])])
+    side = sqrt(n_random * disc)
+    return (side, side), scatter(rng, n_random, 2.0 * _RANDOM_GAP * radius, side)
 
 
 def scatter(rng: np.random.Generator, number: int, distance: float, side: float) -> NDArray[np.float64]:

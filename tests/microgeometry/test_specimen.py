@@ -11,7 +11,7 @@ from microgeometry.surfaces import SURFACES
 
 DATA = Path(__file__).resolve().parents[2] / "data" / "specimens"
 
-RANDOM = {"gaussian", "exponential", "self_affine", "ndf", "pits", "bosses", "fibres"}
+RANDOM = {"gaussian", "exponential", "self_affine", "ndf", "pits", "bosses", "fibres", "spheres"}
 
 GOOD = """
 [surface]
