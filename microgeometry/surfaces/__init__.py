@@ -34,14 +34,14 @@ class Surface(Protocol):
     ----------
     kind : str
         Its name in a specimen.
-    is_random : bool
-        A new seed gives a new realisation. If False, `realise` gives the same tile for every seed.
     """
 
     kind: ClassVar[str]
 
     @property
-    def is_random(self) -> bool: ...  # noqa: D102
+    def is_random(self) -> bool:
+        """A new seed gives a new realisation. If False, `realise` gives the same tile for every seed."""
+        ...
 
     @classmethod
     def from_keys(cls, keys: Keys, folder: Path) -> Surface:
