@@ -11,10 +11,18 @@ from pathlib import Path
 from typing import ClassVar, Protocol
 
 from microgeometry.keys import Keys
+from microgeometry.surfaces.bosses import Bosses
+from microgeometry.surfaces.exponential import Exponential
+from microgeometry.surfaces.fibres import Fibres
 from microgeometry.surfaces.flat import Flat
 from microgeometry.surfaces.gaussian import Gaussian
 from microgeometry.surfaces.heightmap import HeightMap
 from microgeometry.surfaces.mesh import Mesh
+from microgeometry.surfaces.ndf import Ndf
+from microgeometry.surfaces.pits import Pits
+from microgeometry.surfaces.pyramids import Pyramids
+from microgeometry.surfaces.self_affine import SelfAffine
+from microgeometry.surfaces.spheres import Spheres
 from microgeometry.surfaces.v_groove import VGroove
 from microgeometry.tile import Tile
 
@@ -26,12 +34,14 @@ class Surface(Protocol):
     ----------
     kind : str
         Its name in a specimen.
-    is_random : bool
-        A new seed gives a new realisation. If False, `realise` gives the same tile for every seed.
     """
 
     kind: ClassVar[str]
-    is_random: ClassVar[bool]
+
+    @property
+    def is_random(self) -> bool:
+        """A new seed gives a new realisation. If False, `realise` gives the same tile for every seed."""
+        ...
 
     @classmethod
     def from_keys(cls, keys: Keys, folder: Path) -> Surface:
@@ -43,6 +53,20 @@ class Surface(Protocol):
         ...
 
 
-_ALL: tuple[type[Surface], ...] = (Flat, Gaussian, VGroove, HeightMap, Mesh)
+_ALL: tuple[type[Surface], ...] = (
+    Flat,
+    Gaussian,
+    Exponential,
+    SelfAffine,
+    Ndf,
+    VGroove,
+    Pits,
+    Bosses,
+    Pyramids,
+    Fibres,
+    Spheres,
+    HeightMap,
+    Mesh,
+)
 
 SURFACES: dict[str, type[Surface]] = {surface.kind: surface for surface in _ALL}

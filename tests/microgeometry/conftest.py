@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from microgeometry.specimen import Specimen, parse_specimen
@@ -36,3 +37,43 @@ def tile_of(specimen_of):
         return specimen_of(kind, **keys).surface.realise(seed)
 
     return build
+
+
+def z_score(values, expected):
+    """Distance of the mean from its expected value in standard errors, and the relative standard error."""
+    values = np.asarray(values)
+    std_error = values.std(ddof=1) / np.sqrt(len(values))
+    return abs(values.mean() - expected) / std_error, std_error / expected
+
+
+def assert_closed(tile):
+    """Every edge of a mesh has two faces that run along it in opposite senses, over the period, to the bit.
+
+    A vertex is known by its coordinates alone, those on the far faces of the tile by their twins': a gap of
+    one rounding error, or a vertex within an edge, fails. Nothing may stand out of the tile.
+    """
+    vertices = tile.vertices.copy()
+    assert (vertices[:, :2] >= 0).all()
+    assert (vertices[:, :2] <= tile.size).all()
+    for axis in (0, 1):
+        vertices[vertices[:, axis] == tile.size[axis], axis] = 0.0
+    index = np.unique(vertices + 0.0, axis=0, return_inverse=True)[1].reshape(-1)
+    starts, ends = tile.faces.ravel(), tile.faces[:, [1, 2, 0]].ravel()
+    # Two points of the period may be joined by several edges, in different directions: the direction
+    # belongs to the edge. Off any round number, so that rounding decides nothing.
+    way = (tile.vertices[ends] - tile.vertices[starts])[:, :2] / tile.size
+    there, back = (
+        np.column_stack((index[p], index[q], np.round(1000 * sign * way + 0.123)))
+        for p, q, sign in ((starts, ends, 1), (ends, starts, -1))
+    )
+    assert len(np.unique(there, axis=0)) == len(there)
+    np.testing.assert_array_equal(np.unique(there, axis=0), np.unique(back, axis=0))
+
+
+def assert_height_field(tile):
+    """Nothing faces down, and the facets cover the tile's rectangle exactly once."""
+    normals, areas = tile.facets()
+    assert (normals[:, 2] > 0).all()
+    np.testing.assert_allclose(
+        areas @ normals / (tile.size[0] * tile.size[1]), (0, 0, 1), rtol=1e-12, atol=1e-9
+    )

@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 from microgeometry.errors import InputError
-
-
-def z_score(values, expected):
-    """Distance of the mean from its expected value in standard errors, and the relative standard error."""
-    values = np.asarray(values)
-    std_error = values.std(ddof=1) / np.sqrt(len(values))
-    return abs(values.mean() - expected) / std_error, std_error / expected
+from tests.microgeometry.conftest import z_score
 
 
 @pytest.mark.parametrize(("alpha", "samples", "per_length"), [(0.5, 256, 4), (0.1, 256, 16), (1.0, 129, 5.3)])
@@ -71,6 +65,24 @@ def test_slopes_are_isotropic_and_gaussian(specimen_of):
     assert z_score(fourth, 3 * 0.125**2)[0] < 4
 
 
+def test_two_correlation_lengths_stretch_the_surface(specimen_of):
+    # lx = 1, ly = 3: the slope variance along y is 1/9 of that along x, and their sum is alpha^2.
+    keys = {"alpha": 0.5, "correlation_length": [1, 3], "samples": 128, "samples_per_correlation_length": 8}
+    surface = specimen_of("gaussian", **keys).surface
+    tiles = [surface.realise(seed) for seed in range(40)]
+    assert tiles[0].size == pytest.approx((16e-6, 48e-6))
+    squares = np.array([[np.mean(slope**2) for slope in tile.slopes()] for tile in tiles])
+    assert z_score(squares[:, 0], 0.25 * 9 / 10)[0] < 4
+    assert z_score(squares[:, 1], 0.25 / 10)[0] < 4
+    # On the continuous surface alpha^2 = 2 rms^2 (1 + 1/9); 0.8 % less at 8 samples, allowed for by 4 errors.
+    rms_height = 0.5 / np.sqrt(2 * (1 + 1 / 9))
+    del keys["alpha"]
+    surface = specimen_of("gaussian", rms_height=rms_height, **keys).surface
+    stats = [surface.realise(seed).statistics() for seed in range(40)]
+    assert z_score([s.rms_height**2 for s in stats], (rms_height * 1e-6) ** 2)[0] < 4
+    assert z_score([s.alpha**2 for s in stats], 0.25)[0] < 4
+
+
 def test_seed_is_the_realisation(specimen_of):
     surface = specimen_of("gaussian", alpha=0.5, samples=64, samples_per_correlation_length=4).surface
     first, again, other = surface.realise(7), surface.realise(7), surface.realise(8)
@@ -125,6 +137,7 @@ def test_realisation_is_fast(specimen_of):
         ({"alpha": 0.5, "rms_height": 1}, "not both"),
         ({"rms_height": 1}, "correlation_length: missing"),
         ({"alpha": 0.5, "correlation_length": 0}, "above 0"),
+        ({"alpha": 0.5, "correlation_length": [1, 2, 3]}, "one number, or two"),
         ({"alpha": 0.5, "samples": 512.5}, "whole number"),
         ({"alpha": 0.5, "samples": 16}, "at least 32"),
         ({"alpha": 0.5, "samples_per_correlation_length": 3}, "do not resolve"),

@@ -26,6 +26,42 @@ def test_ridge_at_zero_valley_in_the_middle(tile_of):
     assert tile.heights[0, 0] > tile.heights[1, 0]
 
 
+def test_orientation_is_the_instruments_business(tile_of):
+    fixed, turned = (tile_of("v_groove", slope_deg=30, orientation=word) for word in ("fixed", "random"))
+    np.testing.assert_array_equal(fixed.heights, turned.heights)
+    with pytest.raises(InputError, match="must be one of 'fixed', 'random'"):
+        tile_of("v_groove", slope_deg=30, orientation="x")
+
+
+def test_slopes_are_drawn_from_the_normal_distribution(specimen_of):
+    surface = specimen_of("v_groove", slope_deg=40, slope_std_deg=5).surface
+    assert surface.is_random
+    assert not specimen_of("v_groove", slope_deg=40).surface.is_random
+    slopes = []
+    for seed in range(20):
+        tile = surface.realise(seed)
+        hx, hy = tile.slopes()
+        assert not hy.any()
+        # Both walls of a groove are inclined alike, and all ridges are at height 0.
+        np.testing.assert_allclose(hx[:, 0::2], -hx[:, 1::2], rtol=1e-9)
+        assert not tile.heights[0::2].any()
+        slopes.append(np.rad2deg(np.arctan(-hx[0, 0::2, 0])))
+    slopes = np.concatenate(slopes)
+    n = len(slopes)
+    assert n == 20 * 256
+    # Standard errors of the mean and of the standard deviation: 0.07 and 0.05 degrees.
+    assert abs(slopes.mean() - 40) < 4 * 5 / np.sqrt(n)
+    assert abs(slopes.std() - 5) < 4 * 5 / np.sqrt(2 * n)
+    assert surface.realise(3).heights.tobytes() == surface.realise(3).heights.tobytes()
+
+
+@pytest.mark.parametrize("slope_deg", [0, 89.9])
+def test_drawn_slopes_stay_within_what_is_allowed(tile_of, slope_deg):
+    hx, _ = tile_of("v_groove", slope_deg=slope_deg, slope_std_deg=30).slopes()
+    assert np.rad2deg(np.arctan(np.abs(hx))).max() <= 89.9
+    assert (hx[0, 0::2] <= 0).all()
+
+
 @pytest.mark.parametrize("slope_deg", [-1, 90, float("nan"), "30", True])
 def test_bad_slope(tile_of, slope_deg):
     with pytest.raises(InputError, match=r"\[surface\] slope_deg = .*at least 0 and at most 89.9"):
