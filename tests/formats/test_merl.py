@@ -9,14 +9,13 @@ import pytest
 
 from gonio import formats
 from gonio.core.directions import direction
-from gonio.core.jit import disabled
 from gonio.formats import merl
 from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
 from tests.table.tables import grid, make
 
-slow_in_python = pytest.mark.skipif(disabled, reason="millions of evaluations, needs compiled kernels")
+slow_in_python = pytest.mark.compiled
 
 
 def sideways(wi, wo):

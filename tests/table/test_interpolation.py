@@ -36,7 +36,7 @@ def uniform_directions(rng, n):
 
 
 @pytest.mark.compiled
-@pytest.mark.skipif(disabled, reason="millions of evaluations, needs compiled kernels")
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", CASES)
 def test_kit(name):
     table = CASES[name]
