@@ -89,14 +89,14 @@ def test_seed_is_the_realisation(specimen_of):
     assert first.vertices.shape != other.vertices.shape or not np.allclose(first.vertices, other.vertices)
 
 
-def test_cut_brings_in_what_stands_out():
+@pytest.mark.parametrize("apex", [0.25, 0.0])  # 0: a corner on the plane of the cut
+def test_cut_brings_in_what_stands_out(apex):
     # A triangle over the corner of a unit tile: its area and normal stay, all of it is inside. So does its
     # label, and that of one which is not cut.
-    corner = np.array([(-0.5, -0.25, 0.0), (0.5, -0.25, 1.0), (0.25, 0.5, 0.0)])
+    corner = np.array([(-0.5, -0.25, 0.0), (0.5, -0.25, 1.0), (apex, 0.5, 0.0)])
     inside = np.array([(0.75, 0.5, 0.0), (0.875, 0.5, 0.0), (0.75, 0.75, 0.0)])
-    both = cut_to_tile(
-        np.vstack((corner, inside)), np.array([(0, 1, 2), (3, 4, 5)]), (1.0, 1.0), np.uint8([1, 0])
-    )
+    faces = np.array([(0, 1, 2), (3, 4, 5)])
+    both = cut_to_tile(np.vstack((inside, corner)), faces, (1.0, 1.0), np.uint8([0, 1]))
     assert sorted(both.labels) == [0] + (len(both.faces) - 1) * [1]
     assert (both.vertices[both.faces[both.labels == 0][0]].mean(axis=0) == inside.mean(axis=0)).all()
     tile = cut_to_tile(corner, np.array([(0, 1, 2)]), (1.0, 1.0))
