@@ -125,7 +125,9 @@ def _returned(n, tau):
 
     total = quad(back, _critical(n), 1, epsabs=1e-13, epsrel=1e-12)[0]
     if n > 1:  # totally reflected
-        total += quad(lambda mu: 2 * mu * math.exp(-2 * tau / mu) if mu else 0.0, 0, _critical(n), epsabs=1e-13)[0]
+        total += quad(
+            lambda mu: 2 * mu * math.exp(-2 * tau / mu) if mu else 0.0, 0, _critical(n), epsabs=1e-13
+        )[0]
     return total
 
 

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -65,7 +66,7 @@ def make_nodes(indices, angles_deg=(), edges_deg=(), per_segment=24, mode=0):
     x, v = np.polynomial.legendre.leggauss(per_segment)
     p = [np.maximum(indices[0] * np.sin(np.radians(angles_deg)), 1e-9)]
     w = [np.zeros(len(angles_deg))]
-    for low, high in zip(breaks[:-1], breaks[1:], strict=True):
+    for low, high in pairwise(breaks):
         # in c = sqrt(high^2 - p^2), a cosine: nothing is singular where a medium's light grazes; p dp = c dc
         top = math.sqrt(high**2 - low**2)
         c = 0.5 * top * (x + 1)
@@ -91,10 +92,11 @@ class Operator:
 
     def resolvent(self):
         """(1 - self)^-1, the sum over all reflections to and fro."""
-        one = np.eye(len(self.w))
-        # light trapped in a clear medium by total reflection goes on for ever; nothing reaches it from outside
-        e = np.linalg.inv(one * (1 + 1e-14) - self.d)
-        y = np.linalg.solve(one * (1 + 1e-14) - self.d - self.k * self.w, self.k @ e)
+        # light trapped in a clear medium by total reflection would go on for ever; none gets there from outside
+        trapped = np.diag(self.d) > 1 - 1e-12
+        left = np.eye(len(self.w)) * (1 + 1e-12 * trapped) - self.d
+        e = np.linalg.inv(left)
+        y = np.linalg.solve(left - self.k * self.w, self.k @ e)
         return Operator(e, y, self.w)
 
 
@@ -139,7 +141,10 @@ def interface(nodes, n_above, n_below):
     """Smooth interface of two dielectrics."""
     r, t, r_below, t_below = (np.zeros((len(nodes.p), 4, 4)) for _ in range(4))
     for k, p in enumerate(nodes.p):
-        for n1, n2, reflected, transmitted in ((n_above, n_below, r, t), (n_below, n_above, r_below, t_below)):
+        for n1, n2, reflected, transmitted in (
+            (n_above, n_below, r, t),
+            (n_below, n_above, r_below, t_below),
+        ):
             if p >= n1:
                 continue
             cos_i = math.sqrt(1 - (p / n1) ** 2)
