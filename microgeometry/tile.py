@@ -138,6 +138,8 @@ class TriangleMesh:
         Corner (x0, y0) of the period's rectangle, metres.
     size : tuple of float
         Periods (Lx, Ly), metres.
+    labels : ndarray, shape (F,), uint8, or None
+        What each face is made of: 0 the layer's material, 1 that of its `plane`. None: all of them 0.
 
     Raises
     ------
@@ -150,6 +152,7 @@ class TriangleMesh:
     faces: NDArray[np.int32]
     origin: tuple[float, float]
     size: tuple[float, float]
+    labels: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, dtype=np.float64)
@@ -166,6 +169,13 @@ class TriangleMesh:
         n_bad = np.count_nonzero(~np.isfinite(vertices).all(axis=1))
         if n_bad:
             raise InputError(f"vertices: {n_bad} of {len(vertices)} are NaN or infinite; all must be finite")
+        if self.labels is not None:
+            labels = np.ascontiguousarray(self.labels, dtype=np.uint8)
+            if labels.shape != (len(faces),):
+                raise InputError(
+                    f"labels of shape {labels.shape}: must be ({len(faces)},), one for each face"
+                )
+            object.__setattr__(self, "labels", labels)
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
         object.__setattr__(self, "origin", (float(self.origin[0]), float(self.origin[1])))

@@ -100,5 +100,7 @@ def test_bad_mesh():
         TriangleMesh(triangle, one[:0], (0.0, 0.0), (1.0, 1.0))
     with pytest.raises(InputError, match="1 of 3"):
         TriangleMesh(np.diag([1.0, np.inf, 0.0])[[2, 0, 1]], one, (0.0, 0.0), (1.0, 1.0))
+    with pytest.raises(InputError, match=r"labels of shape \(2,\): must be \(1,\)"):
+        TriangleMesh(triangle, one, (0.0, 0.0), (1.0, 1.0), np.zeros(2, np.uint8))
     with pytest.raises(InputError, match="no facet faces up"):
         TriangleMesh(triangle, one[:, ::-1], (0.0, 0.0), (1.0, 1.0)).statistics()
