@@ -72,7 +72,7 @@ def interact(facets, media, polarised, layer, material, front, v, n, e, light, s
         return _tabulated(facets, facets.table[material], v, n, e, light, scratch, u0, u1, u2, u3)
     across = perpendicular(v, n)
     if polarised:
-        _turn(light, rotation(e, v, across))
+        turn(light, rotation(e, v, across))
     if kind == MIRROR:
         if polarised:  # a perfect conductor: r_s = -1, r_p = 1
             light[:, 2:] *= -1.0
@@ -213,7 +213,7 @@ def _reflect(v, n):
 
 
 @kernel(allocates=False)
-def _turn(light, double_angle):
+def turn(light, double_angle):
     """Refer Q and U of every sample to an axis turned by half the double angle, given as (cos, sin)."""
     c, s = double_angle
     for i in range(light.shape[0]):

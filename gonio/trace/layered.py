@@ -164,16 +164,15 @@ def trace_path(
                 absorbed[2 * layer] += energy - _energy(light, share)
             if crossed:
                 medium = layer + 1 if front else layer
-            if front == crossed:
+            in_gap = True
+            if front == crossed:  # it goes on down
                 zone += 1
                 depth = 0.0
+            elif zone == 0:
+                return _left(light), v, bounces, straight, rays
             else:
                 depth = zones.gap[zone]
-            in_gap = True
-            corner_x, corner_y = corner_x + x, corner_y + y
-            if zone == 0:
-                return _left(light), v, bounces, straight, rays
-            if bounces >= ROULETTE_BOUNCES and crossed is False:
+            if bounces >= ROULETTE_BOUNCES:
                 absorbed[2 * layer] += _roulette(light, share, path, event, seed, batch)
             continue
         else:
@@ -255,7 +254,7 @@ def trace_path(
                 x += step * n[0]
                 y += step * n[1]
                 z += step * n[2]
-                if bounces >= ROULETTE_BOUNCES and not crossed:
+                if bounces >= ROULETTE_BOUNCES:
                     absorbed[2 * layer] += _roulette(light, share, path, event, seed, batch)
                 continue
         # a collision, in the gap or between facets

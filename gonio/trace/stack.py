@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.core.embree import Handle
-from gonio.core.phase import HG, ISOTROPIC, RAYLEIGH, TABULATED
+from gonio.core.phase import HG, ISOTROPIC, RAYLEIGH, TABULATED, tabulated_cdf
 from gonio.table.pool import Pool, pool_tables
 from gonio.table.table import Table
 from gonio.trace.scene import MARGIN, TraceScene
@@ -51,7 +51,7 @@ PLANE = 0
 NONE, MIRROR, BLACK, LAMBERT, OPAQUE, CLEAR, TABLE = range(7)
 
 # Columns of Media.phase
-SCATTERS, PHASE_KIND, CURVE_FIRST, CURVE_COUNT = range(4)
+SCATTERS, ABSORBS, PHASE_KIND, CURVE_FIRST, CURVE_COUNT = range(5)
 
 
 class Zones(NamedTuple):
@@ -105,11 +105,11 @@ class Media(NamedTuple):
     sigma_s: Array
     """(L + 1, S) each, 1/m"""
     phase: NDArray[np.int64]
-    """(L + 1, 4), columns as above."""
+    """(L + 1, 5), columns as above."""
     g: Array
     """(L + 1,)"""
     curve: Array
-    """(N, 3) tabulated phase functions: cosine, value, cumulative."""
+    """(3, N) tabulated phase functions: cosine, value, cumulative."""
 
 
 class Stack(NamedTuple):
@@ -145,7 +145,7 @@ def pack_stack(specimen: Specimen) -> Stack:
     return Stack(
         facets, media, share,
         polarised=polarising or rayleigh,
-        transmits=layers[-1].material.transmits and not media.phase[-1, SCATTERS] and not media.sigma_a[-1].any(),
+        transmits=layers[-1].material.transmits and bool(np.any(media.sigma_s[-1] + media.sigma_a[-1] == 0)),
         scatters=bool(media.phase[:, SCATTERS].any()),
     )  # fmt: skip
 
@@ -249,27 +249,24 @@ def _table_of_facets(material: TableMaterial, specimen: Specimen) -> Table:
 def _pack_media(below: Sequence[Medium | None], eta: Array) -> tuple[Media, bool]:
     """Media, and whether any scatters by Rayleigh's law."""
     sigma_a, sigma_s = np.zeros_like(eta), np.zeros_like(eta)
-    phase = np.zeros((len(eta), 4), np.int64)
+    phase = np.zeros((len(eta), 5), np.int64)
     g = np.zeros(len(eta))
     curves: list[Array] = []
     for m, medium in enumerate(below):
         if medium is None:
             continue
         sigma_a[m], sigma_s[m] = medium.sigma_a, medium.sigma_s
-        phase[m, SCATTERS] = any(medium.sigma_s)
+        phase[m, SCATTERS], phase[m, ABSORBS] = any(medium.sigma_s), any(medium.sigma_a)
         law = medium.phase
         if isinstance(law, HenyeyGreenstein):
             phase[m, PHASE_KIND], g[m] = HG, law.g
         elif isinstance(law, TabulatedPhase):
-            curve = np.array([law.cosines, law.values], float).T
-            steps = 0.5 * np.diff(curve[:, 0]) * (curve[1:, 1] + curve[:-1, 1])
-            cumulative = 2.0 * np.pi * np.concatenate([[0.0], np.cumsum(steps)])
-            phase[m, PHASE_KIND:] = TABULATED, sum(map(len, curves)), len(curve)
-            curves.append(np.column_stack([curve, cumulative]))
+            phase[m, PHASE_KIND:] = TABULATED, sum(c.shape[1] for c in curves), len(law.cosines)
+            curves.append(np.stack([law.cosines, law.values, tabulated_cdf(law.cosines, law.values)]))
         else:
             phase[m, PHASE_KIND] = {Isotropic: ISOTROPIC, Rayleigh: RAYLEIGH}[type(law)]
     rayleigh = bool(np.any((phase[:, PHASE_KIND] == RAYLEIGH) & (phase[:, SCATTERS] == 1)))
-    return Media(eta, sigma_a, sigma_s, phase, g, np.concatenate([*curves, np.zeros((0, 3))])), rayleigh
+    return Media(eta, sigma_a, sigma_s, phase, g, np.concatenate([*curves, np.zeros((3, 0))], axis=1)), rayleigh
 
 
 class StackScene:
