@@ -37,12 +37,13 @@ def perpendicular(d, n):
 
 
 @kernel(allocates=False)
-def rotate(q, u, e, d, e_new):
-    """Stokes parameters (Q, U) against `e_new` of light that has `q`, `u` against `e`; I and V stay.
+def rotation(e, d, e_new):
+    """Cosine and sine of twice the angle from the axis `e` to `e_new`, about the direction `d`.
+
+    Against the new axis light has (cos Q + sin U, cos U - sin Q); I and V stay.
 
     Parameters
     ----------
-    q, u : float
     e, d, e_new : direction
         Old axis, direction of propagation, new axis; the axes are perpendicular to `d`.
     """
@@ -55,9 +56,14 @@ def rotate(q, u, e, d, e_new):
     )
     # divided by cos^2 + sin^2, so that axes of rounded length leave Q^2 + U^2 as it is
     scale = 1.0 / (cosine * cosine + sine * sine)
-    cos_2phi = (cosine - sine) * (cosine + sine) * scale
-    sin_2phi = 2.0 * sine * cosine * scale
-    return cos_2phi * q + sin_2phi * u, cos_2phi * u - sin_2phi * q
+    return (cosine - sine) * (cosine + sine) * scale, 2.0 * sine * cosine * scale
+
+
+@kernel(allocates=False)
+def rotate(q, u, e, d, e_new):
+    """Stokes parameters (Q, U) against `e_new` of light that has `q`, `u` against `e`; see `rotation`."""
+    c, s = rotation(e, d, e_new)
+    return c * q + s * u, c * u - s * q
 
 
 @kernel(allocates=False)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.core.embree import Handle, Scene
-from microgeometry.materials import Conductor, Lambert, Material, Mirror
+from microgeometry.materials import Conductor, Lambert, Mirror
+from microgeometry.specimen import Layer
 from microgeometry.tile import HeightField, Tile, TriangleMesh
 
 # Free space above and below the surface, in tiles: far above float32's resolution, too thin to cost anything.
@@ -100,20 +101,23 @@ class Optics(NamedTuple):
     """
 
     eta_k: NDArray[np.float64] | None
-    """Complex index of a conductor, shape (C, 2)."""
+    """Complex index of a conductor, shape (S, 2)."""
     albedo: NDArray[np.float64] | None
-    """Albedo of a Lambertian facet, shape (C,)."""
+    """Albedo of a Lambertian facet, shape (S,)."""
 
 
-def pack_optics(material: Material) -> Optics:
-    """Pack a specimen's material for the kernels."""
+def pack_optics(layer: Layer) -> Optics | None:
+    """Pack a layer's material, if it is one that `gonio.trace.transport` traces over all of its surface."""
+    material = layer.material
+    if layer.plane is not None:
+        return None
     if isinstance(material, Mirror):
         return Optics(None, None)
     if isinstance(material, Conductor):
         return Optics(np.stack([material.eta, material.k], axis=1).astype(float), None)
     if isinstance(material, Lambert):
         return Optics(None, np.array(material.albedo, float))
-    raise TypeError(f"material: {type(material).__name__}; Mirror, Conductor or Lambert is expected")
+    return None
 
 
 def periodic_vertices(z: NDArray[np.float64], width_x: float, width_y: float) -> NDArray[np.float64]:
