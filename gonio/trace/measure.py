@@ -17,6 +17,7 @@ from gonio.core.lookup import axis
 from gonio.core.parallel import check_threads, for_each
 from gonio.progress import Report
 from gonio.table.checks import relative_noise
+from gonio.table.parts import TRANSMISSION, order_names
 from gonio.table.table import Table
 from gonio.trace.analog import Beam, Bins, Part, Sums, trace_stack, trace_surface
 from gonio.trace.errors import TraceError
@@ -163,10 +164,10 @@ class Measurement:
         for total, orders in zip(self.tally.totals, self.tally.orders, strict=True):
             parts = {
                 name: self._sheet(sheet, {}, {}, {})
-                for name, sheet in zip(_order_names(grid.orders), orders, strict=False)
+                for name, sheet in zip(order_names(grid.orders), orders, strict=True)
             }
             hemispheres.append((total, parts))
-        transmission = {"transmission": self._sheet(*hemispheres[1], {}, {})} if len(hemispheres) > 1 else {}
+        transmission = {TRANSMISSION: self._sheet(*hemispheres[1], {}, {})} if len(hemispheres) > 1 else {}
         total, parts = hemispheres[0]
         table = self._sheet(total, {**transmission, **parts}, ledger, provenance)
         variance = float(np.median(relative_noise(table))) ** 2
