@@ -62,15 +62,13 @@ class Tally:
         ledger_names: Sequence[str] = (),
     ) -> None:
         self.batches = 0
-        self.paths_per_row = 0
         self.rays = 0
         self.ledger: dict[str, float] = dict.fromkeys(("paths", *LEDGER, *ledger_names), 0.0)
         # energies by the column of the ledger that holds them
         self._columns = dict(enumerate(LEDGER)) | dict(enumerate(ledger_names, LEDGER_COLUMNS))
-        # The totals come first: the single sheets clear the accumulators
         self.totals = [SheetTally(rows, cells, channels, h * orders, orders) for h in range(hemispheres)]
         self.orders: list[list[SheetTally]] = [
-            [SheetTally(rows, cells, channels, h * orders + n, 1) for n in range(orders if orders > 1 else 0)]
+            [SheetTally(rows, cells, channels, h * orders + n) for n in range(orders if orders > 1 else 0)]
             for h in range(hemispheres)
         ]
         sheets = hemispheres * orders
@@ -98,14 +96,15 @@ class Tally:
     def close_batch(self, paths_per_row: int, threads: int | None = None) -> None:
         """Take the sums in the accumulators as one batch of so many paths a row, and clear them."""
         self.batches += 1
-        self.paths_per_row += paths_per_row
-        sheets = [*self.totals, *(sheet for hemisphere in self.orders for sheet in hemisphere)]
+        # orders first: totals add up their sums
+        sheets = [*(sheet for hemisphere in self.orders for sheet in hemisphere), *self.totals]
         for sheet in sheets:
             sheet.add_rows(self._specular, self._energy, paths_per_row)
 
         def close(row: int) -> None:
             for sheet in sheets:
                 sheet.add_cells(row, self._cells[row], paths_per_row)
+            self._cells[row, 0] = 0.0
 
         for_each(close, len(self._cells), threads)
         ledger = self._ledger.sum(axis=(0, 1))
@@ -139,7 +138,7 @@ class SheetTally:
     rows, cells, channels : int
         As in `Tally`.
     first, count : int
-        Which of the tally's sheets to add up. A single sheet clears its cells' accumulators once read.
+        Which of the tally's sheets to add up; where there are several, after each was closed on its own.
 
     Attributes
     ----------
@@ -147,9 +146,9 @@ class SheetTally:
         Paths that ended in each cell.
     """
 
-    def __init__(self, rows: int, cells: int, channels: int, first: int, count: int) -> None:
+    def __init__(self, rows: int, cells: int, channels: int, first: int, count: int = 1) -> None:
         self.hits: NDArray[np.int64] = np.zeros((rows, cells), np.int64)
-        self._first, self._last = first, first + count
+        self._first, self._count = first, count
         self._batches = 0
         self._paths_per_row = 0
         self._mean = np.zeros((rows, cells, channels))
@@ -162,16 +161,26 @@ class SheetTally:
         """Begin a batch of so many paths a row with its energies; arguments as `Tally.accumulators`."""
         self._batches += 1
         self._paths_per_row += paths_per_row
-        sums = [a[:, :, self._first : self._last].sum(axis=(1, 2)) for a in (specular, energy)]
+        mine = slice(self._first, self._first + self._count)
+        sums = [a[:, :, mine].sum(axis=(1, 2)) for a in (specular, energy)]
         rows = np.concatenate(sums, axis=1) / paths_per_row
         delta = rows - self._row_mean
         self._row_mean += delta / self._batches
         self._row_square += delta * (rows - self._row_mean)
 
     def add_cells(self, row: int, cells: Array, paths_per_row: int) -> None:
-        """Add the cells of one row to the batch begun, shape (chunks, sheets, cells, channels + 1)."""
+        """Add the cells of one row to the batch begun, shape (chunks, sheets, cells, channels + 1).
+
+        Sums are gathered in chunk 0 of the first sheet; the other accumulators they come from are cleared.
+        """
+        chunks, sheets = cells.shape[:2]
+        slabs = cells.reshape(-1, *cells.shape[2:])
+        if self._count == 1:
+            last, step = chunks * sheets, sheets  # the sheet in all chunks, in their order
+        else:
+            last, step = self._first + self._count, 1  # the sheets' own sums, in chunk 0
         _add_cells(
-            cells, self._first, self._last, 1.0 / paths_per_row, self._batches,
+            slabs, self._first, last, step, 1.0 / paths_per_row, self._batches,
             self._mean[row], self._square[row], self.hits[row],
         )  # fmt: skip
 
@@ -209,28 +218,20 @@ class SheetTally:
 
 
 @kernel(allocates=False)
-def _add_cells(cells, first, last, scale, batch, mean, square, hits):
-    """Welford's update of every cell of a row with its sum over sheets and chunks, in this order.
+def _add_cells(slabs, first, last, step, scale, batch, mean, square, hits):
+    """Welford's update of every cell with the sum over slabs first, first + step, ... before last.
 
-    A single sheet's accumulators are cleared.
+    The sum is left in slab `first`, the other slabs are cleared.
     """
-    chunks, _, count, columns = cells.shape
-    single = last - first == 1
+    _, count, columns = slabs.shape
     for cell in range(count):
-        paths = 0.0
-        for sheet in range(first, last):
-            for chunk in range(chunks):
-                paths += cells[chunk, sheet, cell, columns - 1]
-                if single:
-                    cells[chunk, sheet, cell, columns - 1] = 0.0
-        hits[cell] += int(paths)
+        for slab in range(first + step, last, step):
+            for column in range(columns):
+                slabs[first, cell, column] += slabs[slab, cell, column]
+                slabs[slab, cell, column] = 0.0
+        hits[cell] += int(slabs[first, cell, columns - 1])
         for channel in range(columns - 1):
-            total = 0.0
-            for sheet in range(first, last):
-                for chunk in range(chunks):
-                    total += cells[chunk, sheet, cell, channel]
-                    if single:
-                        cells[chunk, sheet, cell, channel] = 0.0
-            delta = total * scale - mean[cell, channel]
+            value = slabs[first, cell, channel] * scale
+            delta = value - mean[cell, channel]
             mean[cell, channel] += delta / batch
-            square[cell, channel] += delta * (total * scale - mean[cell, channel])
+            square[cell, channel] += delta * (value - mean[cell, channel])
