@@ -41,8 +41,6 @@ class Bins(NamedTuple):
     """Edges of -cos(delta phi)."""
     orders: int
     """Numbers of bounces told apart; the last collects all beyond."""
-    to_channels: NDArray[np.float64] | None
-    """(C, S) matrix from the samples traced to the table's channels; None where they are the same."""
     share: NDArray[np.float64]
     """(S,) weights that turn the energies of the samples into the mean over the table's channels."""
 
@@ -82,7 +80,9 @@ class Part(NamedTuple):
 
 
 @kernel
-def trace_surface(embree, box, coherent, eta_k, albedo, bins, beam, part, seed, batch, max_bounces, sums):
+def trace_surface(
+    embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, sums
+):  # fmt: skip
     """Trace packets over one opaque surface and bin them by where they leave.
 
     Parameters
@@ -93,6 +93,8 @@ def trace_surface(embree, box, coherent, eta_k, albedo, bins, beam, part, seed, 
         As in `trace_packet`.
     eta_k, albedo : ndarray or None
         As in `gonio.trace.scene.Optics`.
+    to_channels : ndarray or None, shape (C, S)
+        From the samples traced to the table's channels; None where they are the same.
     bins : Bins
     beam : Beam
     part : Part
@@ -128,12 +130,12 @@ def trace_surface(embree, box, coherent, eta_k, albedo, bins, beam, part, seed, 
             # no other path ends so but by a chance of 1e-14
             delta = albedo is None and x == mirror_x and y == mirror_y
             wo = (float(x), float(y), float(z))
-            _count(bins, sums, wi, wo, status[lane], bounces[lane], delta, weight[lane])
+            _count(to_channels, bins, sums, wi, wo, status[lane], bounces[lane], delta, weight[lane])
     sums.ledger[ABSORBED_COLUMN] += np.dot(bins.share, absorbed)
 
 
 @kernel
-def trace_stack(zones, facets, media, polarised, bins, beam, part, seed, batch, max_bounces, sums):
+def trace_stack(zones, facets, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums):
     """Trace paths through a stack of layers and bin them by where they leave.
 
     Parameters
@@ -143,7 +145,7 @@ def trace_stack(zones, facets, media, polarised, bins, beam, part, seed, batch, 
     media : Media
     polarised : bool
         As in `gonio.trace.stack.Stack`.
-    bins, beam, part, seed, batch, max_bounces, sums
+    to_channels, bins, beam, part, seed, batch, max_bounces, sums
         As in `trace_surface`.
     """
     samples = bins.share.shape[0]
@@ -178,7 +180,7 @@ def trace_stack(zones, facets, media, polarised, bins, beam, part, seed, batch, 
             sums.ledger[RAYS] += rays
             for s in range(samples):
                 weight[s] = light[s, 0]
-            _count(bins, sums, wi, wo, status, bounces, straight, weight)
+            _count(to_channels, bins, sums, wi, wo, status, bounces, straight, weight)
     for column in range(absorbed.shape[0]):
         sums.ledger[LEDGER_COLUMNS + column] += absorbed[column]
         sums.ledger[ABSORBED_COLUMN] += absorbed[column]
@@ -194,7 +196,7 @@ def _incident(beam, u, v):
 
 
 @kernel(allocates=False)
-def _count(bins, sums, wi, wo, status, bounces, delta, weight):
+def _count(to_channels, bins, sums, wi, wo, status, bounces, delta, weight):
     """Add what is left of one path (`weight`, shape (S,)) to where it ended."""
     energy = 0.0
     for s in range(weight.shape[0]):
@@ -213,12 +215,12 @@ def _count(bins, sums, wi, wo, status, bounces, delta, weight):
     cell = ring * sectors + find(bins.phi, -cos_delta_phi(wi, wo))
     channels = sums.energy.shape[1]
     for channel in range(channels):
-        if bins.to_channels is None:
+        if to_channels is None:
             w = weight[channel]
         else:
             w = 0.0
             for s in range(weight.shape[0]):
-                w += bins.to_channels[channel, s] * weight[s]
+                w += to_channels[channel, s] * weight[s]
         sums.energy[sheet, channel] += w
         if delta:
             sums.specular[sheet, channel] += w

@@ -75,7 +75,8 @@ def interact(facets, media, polarised, layer, material, front, v, n, e, light, s
         turn(light, rotation(e, v, across))
     if kind == MIRROR:
         if polarised:  # a perfect conductor: r_s = -1, r_p = 1
-            light[:, 2:] *= -1.0
+            for s in range(light.shape[0]):
+                light[s, 2], light[s, 3] = -light[s, 2], -light[s, 3]
         return _reflect(v, n), across, False, True
     reflected, transmitted = _interface(facets, media, layer, material, front, v, n, light, scratch)
     if reflected + transmitted <= 0.0:

@@ -121,7 +121,7 @@ def trace_path(
     rays = 0
     for event in range(1, MAX_SEGMENTS):
         energy = _energy(light, share)
-        if energy == 0.0 and not light[:, 0].any():
+        if energy == 0.0 and _dark(light):
             return ABSORBED, v, bounces, straight, rays
         if in_gap:
             gap = zones.gap[zone]  # above `zone`
@@ -280,9 +280,17 @@ def _energy(light, share):
 
 
 @kernel(allocates=False)
+def _dark(light):
+    for s in range(light.shape[0]):
+        if light[s, 0] != 0.0:
+            return False
+    return True
+
+
+@kernel(allocates=False)
 def _left(light):
     """Light that left above is reflected, if there is any."""
-    return REFLECTED if light[:, 0].any() else ABSORBED
+    return ABSORBED if _dark(light) else REFLECTED
 
 
 @kernel(allocates=False)

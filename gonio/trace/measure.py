@@ -95,11 +95,11 @@ class Measurement:
         self._strata = 2 ** (exponent // 2), 2 ** (exponent - exponent // 2)
         self.paths_per_batch = 16 * rows * 2**exponent
         self.planned_batches = max(MIN_BATCHES, -(-rays // self.paths_per_batch))
+        self._to_channels = None if grid.to_channels is None else np.array(grid.to_channels)
         self._bins = Bins(
             theta=axis(sin2_edges),
             phi=axis(-np.cos(self._phi_edges)),
             orders=grid.orders,
-            to_channels=None if grid.to_channels is None else np.array(grid.to_channels),
             share=self._stack.share,
         )
         self.tally = Tally(
@@ -209,7 +209,7 @@ class Measurement:
 
         def run(beam: Beam, part: Part, batch: int, sums: Sums) -> None:
             trace_surface(
-                scene.embree, scene.box, coherent, *self._optics, self._bins, beam, part, self.seed, batch,
+                scene.embree, scene.box, coherent, *self._optics, self._to_channels, self._bins, beam, part, self.seed, batch,
                 MAX_BOUNCES, sums,
             )  # fmt: skip
 
@@ -224,7 +224,7 @@ class Measurement:
 
         def run(beam: Beam, part: Part, batch: int, sums: Sums) -> None:
             trace_stack(
-                scene.zones, facets, stack.media, stack.polarised, self._bins, beam, part, self.seed, batch,
+                scene.zones, facets, stack.media, stack.polarised, self._to_channels, self._bins, beam, part, self.seed, batch,
                 max_bounces, sums,
             )  # fmt: skip
 
