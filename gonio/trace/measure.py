@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import cached_property
 from typing import Any
@@ -16,14 +17,17 @@ from gonio.core.lookup import axis
 from gonio.core.parallel import check_threads, for_each
 from gonio.progress import Report
 from gonio.table.checks import relative_noise
+from gonio.table.parts import TRANSMISSION, order_names
 from gonio.table.table import Table
-from gonio.trace.analog import trace_unit
+from gonio.trace.analog import Beam, Bins, Part, Sums, trace_stack, trace_surface
 from gonio.trace.errors import TraceError
 from gonio.trace.scene import TraceScene, pack_optics
-from gonio.trace.tally import Tally
+from gonio.trace.stack import StackScene, pack_stack
+from gonio.trace.tally import SheetTally, Tally
+from gonio.trace.transport import MAX_SEGMENTS
 from microgeometry.errors import InputError
 from microgeometry.specimen import Specimen
-from microgeometry.tile import SurfaceStatistics
+from microgeometry.tile import SurfaceStatistics, Tile
 
 MIN_BATCHES = 32
 MAX_BOUNCES = 256
@@ -34,6 +38,9 @@ _STATISTICS_TILES = 8  # realisations whose facets are measured
 _DEFAULT_RAYS = 20_000_000
 _COHERENT_FACETS = 8  # facets per path of a row below which coherent packets are faster (measured)
 _TRIAL_RATE = 2e6  # paths/s assumed when a time is given, to choose the size of a batch
+
+
+_Run = Callable[[Beam, Part, int, Sums], None]
 
 
 class Measurement:
@@ -71,8 +78,6 @@ class Measurement:
         self._theta_edges = np.radians(np.linspace(0, 90, round(90 / grid.theta_step_deg) + 1))
         self._phi_edges = np.radians(np.linspace(0, 180, round(180 / grid.phi_step_deg) + 1))
         sin2_edges = np.sin(self._theta_edges) ** 2
-        self._theta_axis = axis(sin2_edges)
-        self._phi_axis = axis(-np.cos(self._phi_edges))
         if grid.theta_i_deg is None:
             self._theta_i_edges: NDArray[np.float64] | None = self._theta_edges
             self._theta_i = 0.5 * (self._theta_edges[1:] + self._theta_edges[:-1])
@@ -81,7 +86,8 @@ class Measurement:
             self._theta_i_edges = None
             self._theta_i = np.radians(grid.theta_i_deg)
             self._sin2 = np.sin(self._theta_i) ** 2, np.sin(self._theta_i) ** 2
-        self._optics = pack_optics(specimen.material)
+        self._stack = pack_stack(specimen)
+        self._optics = None if len(specimen.layers) > 1 else pack_optics(specimen.layers[0])
         rows = len(self._theta_i)
         exponent = 0
         while 16 * rows * 2 ** (exponent + 1) * MIN_BATCHES <= rays and 2 ** (exponent + 1) <= _MAX_PACKETS:
@@ -89,11 +95,21 @@ class Measurement:
         self._strata = 2 ** (exponent // 2), 2 ** (exponent - exponent // 2)
         self.paths_per_batch = 16 * rows * 2**exponent
         self.planned_batches = max(MIN_BATCHES, -(-rays // self.paths_per_batch))
+        self._to_channels = None if grid.to_channels is None else np.array(grid.to_channels)
+        self._bins = Bins(
+            theta=axis(sin2_edges),
+            phi=axis(-np.cos(self._phi_edges)),
+            orders=grid.orders,
+            share=self._stack.share,
+        )
         self.tally = Tally(
             rows,
             (len(self._theta_edges) - 1) * (len(self._phi_edges) - 1),
             len(grid.channels),
             max(1, -(-_UNITS // rows)),
+            hemispheres=2 if self._stack.transmits else 1,
+            orders=grid.orders,
+            ledger_names=() if self._optics is not None else _absorbed_names(specimen),
         )
         self.seconds = 0.0
         self.trace_seconds = 0.0  # of which in the kernel
@@ -109,23 +125,20 @@ class Measurement:
         """
         started = time.perf_counter()
         batch = self.tally.batches
-        scene = self._scene(batch)
+        tiles = self._tiles(batch)
         paths_per_row = self.paths_per_batch // len(self._theta_i)
-        coherent = paths_per_row * _COHERENT_FACETS >= scene.facets
-        cells, specular, reflected, ledger = self.tally.accumulators
+        cells, specular, energy, ledger = self.tally.accumulators
         rows, chunks = cells.shape[:2]
         packets = self._strata[0] * self._strata[1]
+        run = self._surface(tiles, paths_per_row) if self._optics is not None else self._layers(tiles)
 
         def trace(unit: int) -> None:
             # neighbouring rows cost alike: deal them out, chunk by chunk
             chunk, row = divmod(unit, rows)
             place = row, chunk
-            trace_unit(
-                scene.embree, scene.box, coherent, self._optics.eta_k, self._optics.albedo, row,
-                self._sin2[0][row], self._sin2[1][row], self._theta_axis, self._phi_axis, *self._strata,
-                chunk * packets // chunks, (chunk + 1) * packets // chunks, self.seed, batch, MAX_BOUNCES,
-                cells[place], specular[place], reflected[place], ledger[place],
-            )  # fmt: skip
+            beam = Beam(row, float(self._sin2[0][row]), float(self._sin2[1][row]))
+            part = Part(*self._strata, chunk * packets // chunks, (chunk + 1) * packets // chunks)
+            run(beam, part, batch, Sums(cells[place], specular[place], energy[place], ledger[place]))
 
         tracing = time.perf_counter()
         for_each(trace, rows * chunks, self._threads)
@@ -146,17 +159,34 @@ class Measurement:
             raise TraceError("no batch was traced yet: there is no table; trace at least one")
         self._check_lost(LOST_LIMIT)
         grid = self.specimen.grid
+        ledger, provenance = dict(self.tally.ledger), self._provenance()
+        hemispheres = []
+        for total, orders in zip(self.tally.totals, self.tally.orders, strict=True):
+            parts = {
+                name: self._sheet(sheet, {}, {}, {})
+                for name, sheet in zip(order_names(grid.orders), orders, strict=True)
+            }
+            hemispheres.append((total, parts))
+        transmission = {TRANSMISSION: self._sheet(*hemispheres[1], {}, {})} if len(hemispheres) > 1 else {}
+        total, parts = hemispheres[0]
+        table = self._sheet(total, {**transmission, **parts}, ledger, provenance)
+        variance = float(np.median(relative_noise(table))) ** 2
+        merit = 1.0 / (variance * self.seconds) if variance > 0 else None
+        return table.replace(provenance={**table.provenance, "figure_of_merit": merit})
+
+    def _sheet(
+        self, sheet: SheetTally, parts: dict[str, Table], ledger: dict[str, float], provenance: dict[str, Any]
+    ) -> Table:
+        """The table of one sheet, or of a hemisphere's sum of them."""
+        grid = self.specimen.grid
         omega = projected_solid_angles(self._theta_edges, self._phi_edges)
-        values, std_error = self.tally.cells(omega.ravel())
+        values, std_error = sheet.cells(omega.ravel())
         shape = (len(self._theta_i), *omega.shape)
-        albedo, albedo_error, specular, specular_error = self.tally.rows()
-        hits = self.tally.hits.reshape(shape)
-        values = values.reshape(*shape, -1)
-        std_error = std_error.reshape(*shape, -1)
-        table = Table(
-            values=values,
-            std_error=std_error,
-            hits=hits,
+        albedo, albedo_error, specular, specular_error = sheet.rows()
+        return Table(
+            values=values.reshape(*shape, -1),
+            std_error=std_error.reshape(*shape, -1),
+            hits=sheet.hits.reshape(shape),
             theta_i=self._theta_i,
             theta_i_edges=self._theta_i_edges,
             theta_r_edges=self._theta_edges,
@@ -167,26 +197,63 @@ class Measurement:
             albedo_std_error=albedo_error,
             specular=specular,
             specular_std_error=specular_error,
-            ledger=dict(self.tally.ledger),
-            provenance=self._provenance(),
+            ledger=ledger,
+            provenance=provenance,
+            parts=parts,
         )
-        variance = float(np.median(relative_noise(table))) ** 2
-        merit = 1.0 / (variance * self.seconds) if variance > 0 else None
-        return table.replace(provenance={**table.provenance, "figure_of_merit": merit})
 
-    def _scene(self, batch: int) -> TraceScene:
-        if not self.specimen.surface.is_random:
-            return self._fixed_scene
-        tile = self.specimen.surface.realise(_realisation_seed(self.seed, batch))
+    def _surface(self, tiles: list[Tile], paths_per_row: int) -> _Run:
+        """Trace one opaque surface, 16 paths at a time."""
+        scene = self._fixed_surface if not self.specimen.is_random else TraceScene(tiles)
+        coherent = paths_per_row * _COHERENT_FACETS >= scene.facets
+
+        def run(beam: Beam, part: Part, batch: int, sums: Sums) -> None:
+            trace_surface(
+                scene.embree, scene.box, coherent, *self._optics, self._to_channels, self._bins, beam, part, self.seed, batch,
+                MAX_BOUNCES, sums,
+            )  # fmt: skip
+
+        return run
+
+    def _layers(self, tiles: list[Tile]) -> _Run:
+        """Trace a stack of layers, or one surface that needs more than `_surface` knows."""
+        scene = self._fixed_layers if not self.specimen.is_random else StackScene(self.specimen.layers, tiles)
+        stack = self._stack
+        facets = scene.label(stack.facets)
+        max_bounces = MAX_SEGMENTS if stack.scatters else MAX_BOUNCES
+
+        def run(beam: Beam, part: Part, batch: int, sums: Sums) -> None:
+            trace_stack(
+                scene.zones, facets, stack.media, stack.polarised, self._to_channels, self._bins, beam, part, self.seed, batch,
+                max_bounces, sums,
+            )  # fmt: skip
+
+        return run
+
+    def _tiles(self, batch: int) -> list[Tile]:
+        """One tile a layer; a new realisation for each batch where they are random."""
+        if not self.specimen.is_random:
+            return self._fixed_tiles
+        tiles = []
+        for number, layer in enumerate(self.specimen.layers):
+            tiles.append(layer.surface.realise(_realisation_seed(self.seed, batch, number)))
         if len(self._statistics) < _STATISTICS_TILES:
-            self._statistics.append(tile.statistics())
-        return TraceScene(tile)
+            self._statistics.append(tiles[0].statistics())
+        return tiles
 
     @cached_property
-    def _fixed_scene(self) -> TraceScene:
-        tile = self.specimen.surface.realise(0)
-        self._statistics.append(tile.statistics())
-        return TraceScene(tile)
+    def _fixed_tiles(self) -> list[Tile]:
+        tiles = [layer.surface.realise(0) for layer in self.specimen.layers]
+        self._statistics.append(tiles[0].statistics())
+        return tiles
+
+    @cached_property
+    def _fixed_surface(self) -> TraceScene:
+        return TraceScene(self._fixed_tiles)
+
+    @cached_property
+    def _fixed_layers(self) -> StackScene:
+        return StackScene(self.specimen.layers, self._fixed_tiles)
 
     def _check_lost(self, limit: float) -> None:
         lost, paths = self.tally.ledger["lost"], self.tally.ledger["paths"]
@@ -211,7 +278,7 @@ class Measurement:
             "estimator": "analog",
             "batches": self.tally.batches,
             "planned_batches": self.planned_batches,
-            "realisations": self.tally.batches if self.specimen.surface.is_random else 1,
+            "realisations": self.tally.batches if self.specimen.is_random else 1,
             "paths": int(paths),
             "rays": self.tally.rays,
             "seconds": self.seconds,
@@ -291,5 +358,15 @@ def run(measurement: Measurement, seconds: float | None, progress: Report | None
             return
 
 
-def _realisation_seed(seed: int, batch: int) -> int:
-    return int(np.random.SeedSequence((seed, batch)).generate_state(1, np.uint64)[0])
+def _realisation_seed(seed: int, batch: int, layer: int) -> int:
+    entropy = (seed, batch, layer) if layer else (seed, batch)
+    return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0])
+
+
+def _absorbed_names(specimen: Specimen) -> list[str]:
+    """Names of the ledger's columns of absorbed energy, two a layer."""
+    return [
+        f"absorbed: layer {number} {part}"
+        for number in range(1, len(specimen.layers) + 1)
+        for part in ("surface", "medium")
+    ]
