@@ -135,7 +135,9 @@ def trace_surface(
 
 
 @kernel
-def trace_stack(zones, facets, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums):
+def trace_stack(
+    zones, facets, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums
+):
     """Trace paths through a stack of layers and bin them by where they leave.
 
     Parameters

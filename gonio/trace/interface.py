@@ -25,7 +25,9 @@ R_S, R_P, R_RE, R_IM, T_S, T_P, T_RE, T_IM, I_R, I_T, SCRATCH_ROWS = range(11)
 
 
 @kernel(allocates=False)
-def interact(facets, media, polarised, layer, material, front, v, n, e, light, scratch, path, event, seed, batch):
+def interact(
+    facets, media, polarised, layer, material, front, v, n, e, light, scratch, path, event, seed, batch
+):
     """Turn light at a facet into what leaves it.
 
     Parameters
@@ -250,7 +252,7 @@ def _dot(a, b):
 
 @kernel(allocates=False)
 def _combine(a, x, b, y, c, z):
-    """a x + b y + c z"""
+    """A x + b y + c z"""
     return (
         a * x[0] + b * y[0] + c * z[0],
         a * x[1] + b * y[1] + c * z[1],

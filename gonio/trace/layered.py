@@ -14,7 +14,6 @@ import math
 
 import numpy as np
 
-from gonio.core.directions import frame
 from gonio.core.embree import (
     DIR_X,
     DIR_Y,
@@ -36,26 +35,28 @@ from gonio.core.embree import (
     intersect1,
 )  # fmt: skip
 from gonio.core.jit import kernel
-from gonio.core.phase import RAYLEIGH, phase_sample, rayleigh_polarisation
 from gonio.core.philox import uniforms
-from gonio.core.stokes import mueller, perpendicular, rotation
-from gonio.trace.interface import interact, turn
+from gonio.core.stokes import perpendicular
+from gonio.trace.interface import interact
 from gonio.trace.stack import (
-    ABSORBS,
     BOTTOM,
-    CURVE_COUNT,
-    CURVE_FIRST,
     LIFT,
     NONE,
-    PHASE_KIND,
     PLANE,
-    SCATTERS,
     TOP,
     UNIT,
     WIDTH_X,
     WIDTH_Y,
 )
-from gonio.trace.transport import ABSORBED, KILLED, LOST, MAX_SEGMENTS, REFLECTED, ROULETTE_BOUNCES, TRANSMITTED
+from gonio.trace.transport import (
+    ABSORBED,
+    KILLED,
+    LOST,
+    MAX_SEGMENTS,
+    REFLECTED,
+    ROULETTE_BOUNCES,
+    TRANSMITTED,
+)
 
 _UP = (0.0, 0.0, 1.0)
 _DOWN = (0.0, 0.0, -1.0)
@@ -121,7 +122,7 @@ def trace_path(
     rays = 0
     for event in range(1, MAX_SEGMENTS):
         energy = _energy(light, share)
-        if energy == 0.0 and _dark(light):
+        if _strongest(light) == 0.0:
             return ABSORBED, v, bounces, straight, rays
         if in_gap:
             gap = zones.gap[zone]  # above `zone`
@@ -130,7 +131,7 @@ def trace_path(
                 limit = (gap - depth) / -v[2]
             elif v[2] > 0.0:
                 limit = depth / v[2]
-            distance, collided = _fly(media, medium, light, limit, path, event, seed, batch)
+            distance, collided = fly(media, medium, light, limit, path, event, seed, batch)
             if medium > 0:
                 absorbed[2 * medium - 1] += energy - _energy(light, share)
             if not collided and limit == math.inf:
@@ -188,7 +189,8 @@ def trace_path(
             ids[INST_PRIM_ID] = MISS
             h = zones.embree
             intersect1(
-                Handle(h.intersect1, h.intersect16, h.occluded1, zones.scene[zone], h.coherent, h.incoherent), ray
+                Handle(h.intersect1, h.intersect16, h.occluded1, zones.scene[zone], h.coherent, h.incoherent),
+                ray,
             )
             rays += 1
             hit = ids[GEOM_ID] != MISS
@@ -197,7 +199,7 @@ def trace_path(
                 limit = float(ray[T_FAR])
             else:
                 limit, face = _to_face(box, x, y, z, v)
-            distance, collided = _fly(media, medium, light, limit * unit, path, event, seed, batch)
+            distance, collided = fly(media, medium, light, limit * unit, path, event, seed, batch)
             distance /= unit
             if medium > 0:
                 absorbed[2 * medium - 1] += energy - _energy(light, share)
@@ -227,7 +229,7 @@ def trace_path(
                 continue
             if not collided:
                 layer = zones.first_layer[zone] + ids[GEOM_ID]
-                n = _unit(float(ray[NORMAL_X]), float(ray[NORMAL_Y]), float(ray[NORMAL_Z]))
+                n = unit(float(ray[NORMAL_X]), float(ray[NORMAL_Y]), float(ray[NORMAL_Z]))
                 front = v[0] * n[0] + v[1] * n[1] + v[2] * n[2] < 0.0
                 if not front:
                     n = (-n[0], -n[1], -n[2])
@@ -263,7 +265,7 @@ def trace_path(
         bounces += 1
         straight = False
         energy = _energy(light, share)
-        v, e = _scatter(media, medium, polarised, v, e, light, path, event, seed, batch)
+        v, e = scatter(media, medium, polarised, v, e, light, path, event, seed, batch)
         absorbed[2 * medium - 1] += energy - _energy(light, share)
         if bounces >= ROULETTE_BOUNCES:
             absorbed[2 * medium - 1] += _roulette(light, share, path, event, seed, batch)
@@ -280,17 +282,18 @@ def _energy(light, share):
 
 
 @kernel(allocates=False)
-def _dark(light):
+def _strongest(light):
+    """Intensity of the strongest sample."""
+    strongest = 0.0
     for s in range(light.shape[0]):
-        if light[s, 0] != 0.0:
-            return False
-    return True
+        strongest = max(strongest, light[s, 0])
+    return strongest
 
 
 @kernel(allocates=False)
 def _left(light):
     """Light that left above is reflected, if there is any."""
-    return ABSORBED if _dark(light) else REFLECTED
+    return REFLECTED if _strongest(light) > 0.0 else ABSORBED
 
 
 @kernel(allocates=False)
@@ -325,80 +328,6 @@ def _to_face(box, x, y, z, v):
 
 
 @kernel(allocates=False)
-def _fly(media, medium, light, limit, path, event, seed, batch):
-    """Free flight of at most `limit` metres: how far, and whether it ends in a collision with the medium.
-
-    Absorption takes its part along the way. Collisions are drawn for one sample, taken by energy, and
-    weigh for the others by the balance heuristic (spectral MIS: Wilkie et al. 2014, section 3).
-    """
-    if media.phase[medium, SCATTERS] == 0:
-        if media.phase[medium, ABSORBS] == 1:
-            for s in range(light.shape[0]):
-                _scale(light[s], _transmittance(media.sigma_a[medium, s], limit))
-        return limit, False
-    u0, u1, _, _ = uniforms(path, path >> 32, event, 0, seed, batch)
-    total = 0.0
-    for s in range(light.shape[0]):
-        total += light[s, 0]
-    chosen = 0
-    below = 0.0
-    for s in range(light.shape[0]):
-        if light[s, 0] > 0.0 and below <= u0 * total:
-            chosen = s
-        below += light[s, 0]
-    sigma = media.sigma_s[medium, chosen]
-    distance = -math.log(u1) / sigma if sigma > 0.0 else math.inf
-    collided = distance < limit
-    if not collided:
-        distance = limit
-    density = 0.0
-    for s in range(light.shape[0]):
-        sigma = media.sigma_s[medium, s]
-        density += light[s, 0] / total * _transmittance(sigma, distance) * (sigma if collided else 1.0)
-    for s in range(light.shape[0]):
-        sigma = media.sigma_s[medium, s]
-        factor = _transmittance(sigma, distance) * (sigma if collided else 1.0) / density
-        _scale(light[s], factor * _transmittance(media.sigma_a[medium, s], distance))
-    return distance, collided
-
-
-@kernel(allocates=False)
-def _transmittance(sigma, distance):
-    """exp(-sigma distance), 1 for nothing over infinity."""
-    return math.exp(-sigma * distance) if sigma > 0.0 else 1.0
-
-
-@kernel(allocates=False)
-def _scatter(media, medium, polarised, v, e, light, path, event, seed, batch):
-    """New direction and axis after a collision. Rayleigh's law polarises, all others depolarise."""
-    u0, u1, _, _ = uniforms(path, path >> 32, event, 1, seed, batch)
-    kind = media.phase[medium, PHASE_KIND]
-    first = media.phase[medium, CURVE_FIRST]
-    last = first + media.phase[medium, CURVE_COUNT]
-    curve = media.curve[:, first:last]
-    c = phase_sample(kind, media.g[medium], curve[0], curve[1], curve[2], u0)
-    radius = math.sqrt(max(0.0, 1.0 - c * c))
-    a, b = radius * math.cos(2.0 * math.pi * u1), radius * math.sin(2.0 * math.pi * u1)
-    s, t = frame(v)
-    w = _unit(
-        a * s[0] + b * t[0] + c * v[0],
-        a * s[1] + b * t[1] + c * v[1],
-        a * s[2] + b * t[2] + c * v[2],
-    )
-    if kind != RAYLEIGH or not polarised:
-        light[:, 1:] = 0.0
-        return w, e
-    across = perpendicular(v, w)
-    turn(light, rotation(e, v, across))
-    a_s2, a_p2, cross = rayleigh_polarisation(c)
-    for i in range(light.shape[0]):
-        light[i, 0], light[i, 1], light[i, 2], light[i, 3] = mueller(
-            light[i, 0], light[i, 1], light[i, 2], light[i, 3], a_s2, a_p2, cross
-        )
-    return w, across
-
-
-@kernel(allocates=False)
 def _roulette(light, share, path, event, seed, batch):
     """Russian roulette on the strongest sample: survivors carry the energy of those that end here.
 
@@ -407,25 +336,11 @@ def _roulette(light, share, path, event, seed, batch):
     float
         Energy that ended, or, negative, that was given to the survivor.
     """
-    survival = 0.0
-    for s in range(light.shape[0]):
-        survival = max(survival, light[s, 0])
+    survival = _strongest(light)
     if survival >= 1.0:
         return 0.0
     energy = _energy(light, share)
     u, _, _, _ = uniforms(path, path >> 32, event, 2, seed, batch)
     for s in range(light.shape[0]):
-        _scale(light[s], 1.0 / survival if u < survival else 0.0)
+        scale(light[s], 1.0 / survival if u < survival else 0.0)
     return energy - _energy(light, share)
-
-
-@kernel(allocates=False)
-def _scale(stokes, factor):
-    for i in range(4):
-        stokes[i] *= factor
-
-
-@kernel(allocates=False)
-def _unit(x, y, z):
-    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-    return scale * x, scale * y, scale * z

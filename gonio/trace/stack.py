@@ -266,7 +266,9 @@ def _pack_media(below: Sequence[Medium | None], eta: Array) -> tuple[Media, bool
         else:
             phase[m, PHASE_KIND] = {Isotropic: ISOTROPIC, Rayleigh: RAYLEIGH}[type(law)]
     rayleigh = bool(np.any((phase[:, PHASE_KIND] == RAYLEIGH) & (phase[:, SCATTERS] == 1)))
-    return Media(eta, sigma_a, sigma_s, phase, g, np.concatenate([*curves, np.zeros((3, 0))], axis=1)), rayleigh
+    return Media(
+        eta, sigma_a, sigma_s, phase, g, np.concatenate([*curves, np.zeros((3, 0))], axis=1)
+    ), rayleigh
 
 
 class StackScene:

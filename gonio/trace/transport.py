@@ -258,7 +258,9 @@ def _scatter(
     if eta_k is not None:
         v = (float(vx), float(vy), float(vz))
         n = (float(nx), float(ny), float(nz))
-        _reflect_polarised(v, n, eta_k, bounces[lane] == 1, weight[lane], polarisation[lane], axis[lane], absorbed)
+        _reflect_polarised(
+            v, n, eta_k, bounces[lane] == 1, weight[lane], polarisation[lane], axis[lane], absorbed
+        )
     if (eta_k is not None or albedo is not None) and bounces[lane] >= ROULETTE_BOUNCES:
         return _roulette(lane, eta_k, seed, batch, path, weight, polarisation, bounces, absorbed)
     return 0
