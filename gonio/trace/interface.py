@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 
-from gonio.core.directions import cosine_hemisphere, frame
+from gonio.core.directions import combine, cosine_hemisphere, dot, frame, unit
 from gonio.core.films import film_amplitudes
 from gonio.core.jit import kernel
-from gonio.core.optics import fresnel_amplitudes
+from gonio.core.optics import fresnel_amplitudes, refract
 from gonio.core.philox import uniforms
 from gonio.core.stokes import mueller, perpendicular, rotation
 from gonio.table.interpolation import albedo_table, eval_table, sample_table, specular_table
@@ -68,7 +68,7 @@ def interact(
             light[s, 1:] = 0.0
         a, b, c = cosine_hemisphere(u0, u1)
         x, y = frame(n)
-        return _combine(a, x, b, y, c, n), e, False, False
+        return combine(a, x, b, y, c, n), e, False, False
     if kind == TABLE:
         u3, _, _, _ = uniforms(path, path >> 32, event, 3, seed, batch)
         return _tabulated(facets, facets.table[material], v, n, e, light, scratch, u0, u1, u2, u3)
@@ -102,13 +102,16 @@ def interact(
             if s != sample:
                 light[s, :] = 0.0
         _apply(light, scratch, T_S, gain, polarised)
-    return refract(v, n, eta_t[sample] / eta_i[sample]), across, True, True
+    w, cos_t = refract(v, n, eta_t[sample] / eta_i[sample])
+    if cos_t == 0.0:  # rounding, at the critical angle
+        light[:, :] = 0.0
+    return w, across, True, True
 
 
 @kernel(allocates=False)
 def _interface(facets, media, layer, material, front, v, n, light, scratch):
     """What the interface does to each sample, into `scratch`; returns the sums of intensities, I_R and I_T."""
-    cosine = min(1.0, -(v[0] * n[0] + v[1] * n[1] + v[2] * n[2]))
+    cosine = min(1.0, -dot(v, n))
     clear = facets.kind[material] == CLEAR
     first, count = facets.film[material]
     if not front:
@@ -177,7 +180,7 @@ def _one_of_many(eta_i, eta_t, scratch, threshold):
 def _tabulated(facets, t, v, n, e, light, scratch, u0, u1, u2, u3):
     """Reflection by a table: its delta term or a direction drawn from it. It depolarises."""
     x, y = frame(n)
-    wi = (-_dot(v, x), -_dot(v, y), -_dot(v, n))
+    wi = (-dot(v, x), -dot(v, y), -dot(v, n))
     delta, diffuse, f = scratch[0], scratch[1], scratch[2]
     specular_table(facets.tables, t, wi[2], delta)
     albedo_table(facets.tables, t, wi[2], diffuse)
@@ -199,20 +202,19 @@ def _tabulated(facets, t, v, n, e, light, scratch, u0, u1, u2, u3):
     eval_table(facets.tables, t, wi, wo, f)
     for s in range(light.shape[0]):
         light[s, 0] *= f[s] * wo[2] / (pdf * (1.0 - chance))
-    return _combine(wo[0], x, wo[1], y, wo[2], n), e, False, False
-
-
-@kernel(allocates=False)
-def refract(v, n, eta):
-    """Where light along v goes beyond a facet of normal n (v.n < 0) and relative index eta; not for TIR."""
-    cosine = -_dot(v, n)
-    cos_t = math.sqrt(max(0.0, 1.0 - (1.0 - cosine * cosine) / (eta * eta)))
-    return _unit(_combine(1.0 / eta, v, cosine / eta - cos_t, n, 0.0, n))
+    return combine(wo[0], x, wo[1], y, wo[2], n), e, False, False
 
 
 @kernel(allocates=False)
 def _reflect(v, n):
-    return _unit(_combine(1.0, v, -2.0 * _dot(v, n), n, 0.0, n))
+    return unit(combine(1.0, v, -2.0 * dot(v, n), n, 0.0, n))
+
+
+@kernel(allocates=False)
+def scale(stokes, factor):
+    """Multiply a Stokes vector."""
+    for i in range(4):
+        stokes[i] *= factor
 
 
 @kernel(allocates=False)
@@ -243,24 +245,3 @@ def _apply(light, scratch, first, gain, polarised):
         cross = complex(scratch[first + 2, s], scratch[first + 3, s])
         i, q, u, v = mueller(light[s, 0], light[s, 1], light[s, 2], light[s, 3], a_s2, a_p2, cross)
         light[s, 0], light[s, 1], light[s, 2], light[s, 3] = gain * i, gain * q, gain * u, gain * v
-
-
-@kernel(allocates=False)
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@kernel(allocates=False)
-def _combine(a, x, b, y, c, z):
-    """A x + b y + c z"""
-    return (
-        a * x[0] + b * y[0] + c * z[0],
-        a * x[1] + b * y[1] + c * z[1],
-        a * x[2] + b * y[2] + c * z[2],
-    )
-
-
-@kernel(allocates=False)
-def _unit(v):
-    scale = 1.0 / math.sqrt(_dot(v, v))
-    return scale * v[0], scale * v[1], scale * v[2]

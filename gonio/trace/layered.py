@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from gonio.core.directions import dot, unit
 from gonio.core.embree import (
     DIR_X,
     DIR_Y,
@@ -37,7 +38,7 @@ from gonio.core.embree import (
 from gonio.core.jit import kernel
 from gonio.core.philox import uniforms
 from gonio.core.stokes import perpendicular
-from gonio.trace.interface import interact
+from gonio.trace.interface import interact, scale
 from gonio.trace.stack import (
     BOTTOM,
     LIFT,
@@ -57,6 +58,7 @@ from gonio.trace.transport import (
     ROULETTE_BOUNCES,
     TRANSMITTED,
 )
+from gonio.trace.volume import fly, scatter
 
 _UP = (0.0, 0.0, 1.0)
 _DOWN = (0.0, 0.0, -1.0)
@@ -178,7 +180,7 @@ def trace_path(
             continue
         else:
             box = zones.box[zone]
-            unit = box[UNIT]
+            metres = box[UNIT]
             ids = ray.view(np.int32)
             ray[ORG_X], ray[ORG_Y], ray[ORG_Z] = x, y, z
             ray[DIR_X], ray[DIR_Y], ray[DIR_Z] = v
@@ -199,8 +201,8 @@ def trace_path(
                 limit = float(ray[T_FAR])
             else:
                 limit, face = _to_face(box, x, y, z, v)
-            distance, collided = fly(media, medium, light, limit * unit, path, event, seed, batch)
-            distance /= unit
+            distance, collided = fly(media, medium, light, limit * metres, path, event, seed, batch)
+            distance /= metres
             if medium > 0:
                 absorbed[2 * medium - 1] += energy - _energy(light, share)
                 energy = _energy(light, share)
@@ -209,10 +211,10 @@ def trace_path(
             z += distance * v[2]
             if not collided and not hit:
                 if face == 1:  # exactly onto the opposite face
-                    corner_x += math.copysign(box[WIDTH_X] * unit, v[0])
+                    corner_x += math.copysign(box[WIDTH_X] * metres, v[0])
                     x = 0.0 if v[0] > 0.0 else box[WIDTH_X]
                 elif face == 2:
-                    corner_y += math.copysign(box[WIDTH_Y] * unit, v[1])
+                    corner_y += math.copysign(box[WIDTH_Y] * metres, v[1])
                     y = 0.0 if v[1] > 0.0 else box[WIDTH_Y]
                 else:
                     up = v[2] > 0.0
@@ -224,13 +226,13 @@ def trace_path(
                         return _left(light), v, bounces, straight, rays
                     in_gap = True
                     depth = zones.gap[zone] if up else 0.0
-                    corner_x += x * unit
-                    corner_y += y * unit
+                    corner_x += x * metres
+                    corner_y += y * metres
                 continue
             if not collided:
                 layer = zones.first_layer[zone] + ids[GEOM_ID]
-                n = unit(float(ray[NORMAL_X]), float(ray[NORMAL_Y]), float(ray[NORMAL_Z]))
-                front = v[0] * n[0] + v[1] * n[1] + v[2] * n[2] < 0.0
+                n = unit((float(ray[NORMAL_X]), float(ray[NORMAL_Y]), float(ray[NORMAL_Z])))
+                front = dot(v, n) < 0.0
                 if not front:
                     n = (-n[0], -n[1], -n[2])
                 crossed = True

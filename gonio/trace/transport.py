@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from gonio.core.directions import cosine_hemisphere, frame
+from gonio.core.directions import cosine_hemisphere, dot, frame
 from gonio.core.embree import (
     DIR_X,
     DIR_Y,
@@ -269,7 +269,7 @@ def _scatter(
 @kernel(allocates=False)
 def _reflect_polarised(v, n, eta_k, first, intensity, polarisation, axis, absorbed):
     """Reflect Stokes vectors at a conductor; what comes from the light is not polarised yet."""
-    cosine = min(1.0, -(v[0] * n[0] + v[1] * n[1] + v[2] * n[2]))
+    cosine = min(1.0, -dot(v, n))
     across = perpendicular(v, n)
     if first:
         for s in range(intensity.shape[0]):

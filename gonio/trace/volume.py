@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from gonio.core.directions import frame
+from gonio.core.directions import combine, frame, unit
 from gonio.core.jit import kernel
 from gonio.core.phase import RAYLEIGH, phase_sample, rayleigh_polarisation
 from gonio.core.philox import uniforms
 from gonio.core.stokes import mueller, perpendicular, rotation
-from gonio.trace.interface import turn
+from gonio.trace.interface import scale, turn
 from gonio.trace.stack import ABSORBS, CURVE_COUNT, CURVE_FIRST, PHASE_KIND, SCATTERS
 
 
@@ -69,11 +69,7 @@ def scatter(media, medium, polarised, v, e, light, path, event, seed, batch):
     radius = math.sqrt(max(0.0, 1.0 - c * c))
     a, b = radius * math.cos(2.0 * math.pi * u1), radius * math.sin(2.0 * math.pi * u1)
     s, t = frame(v)
-    w = unit(
-        a * s[0] + b * t[0] + c * v[0],
-        a * s[1] + b * t[1] + c * v[1],
-        a * s[2] + b * t[2] + c * v[2],
-    )
+    w = unit(combine(a, s, b, t, c, v))
     if kind != RAYLEIGH or not polarised:
         light[:, 1:] = 0.0
         return w, e
@@ -85,15 +81,3 @@ def scatter(media, medium, polarised, v, e, light, path, event, seed, batch):
             light[i, 0], light[i, 1], light[i, 2], light[i, 3], a_s2, a_p2, cross
         )
     return w, across
-
-
-@kernel(allocates=False)
-def scale(stokes, factor):
-    for i in range(4):
-        stokes[i] *= factor
-
-
-@kernel(allocates=False)
-def unit(x, y, z):
-    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-    return scale * x, scale * y, scale * z
