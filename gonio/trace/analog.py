@@ -136,7 +136,7 @@ def trace_surface(
 
 @kernel
 def trace_stack(
-    zones, facets, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums
+    zones, facets, tables, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums
 ):
     """Trace paths through a stack of layers and bin them by where they leave.
 
@@ -144,6 +144,7 @@ def trace_stack(
     ----------
     zones : Zones
     facets : Facets
+    tables : Pool or None
     media : Media
     polarised : bool
         As in `gonio.trace.stack.Stack`.
@@ -176,7 +177,7 @@ def trace_stack(
             u, v, _, _ = uniforms(path, path >> 32, 0, 1, seed, batch)
             wi = _incident(beam, u, v)
             status, wo, bounces, straight, rays = trace_path(
-                zones, facets, media, bins.share, polarised, (-wi[0], -wi[1], -wi[2]), x, y,
+                zones, facets, tables, media, bins.share, polarised, (-wi[0], -wi[1], -wi[2]), x, y,
                 max_bounces, seed, batch, path, ray, light, scratch, absorbed,
             )  # fmt: skip
             sums.ledger[RAYS] += rays

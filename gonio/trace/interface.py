@@ -26,13 +26,29 @@ R_S, R_P, R_RE, R_IM, T_S, T_P, T_RE, T_IM, I_R, I_T, SCRATCH_ROWS = range(11)
 
 @kernel(allocates=False)
 def interact(
-    facets, media, polarised, layer, material, front, v, n, e, light, scratch, path, event, seed, batch
+    facets,
+    tables,
+    media,
+    polarised,
+    layer,
+    material,
+    front,
+    v,
+    n,
+    e,
+    light,
+    scratch,
+    path,
+    event,
+    seed,
+    batch,
 ):
     """Turn light at a facet into what leaves it.
 
     Parameters
     ----------
     facets : Facets
+    tables : Pool or None
     media : Media
     polarised : bool
         Whether Q, U and V are kept; else they stay 0.
@@ -69,9 +85,9 @@ def interact(
         a, b, c = cosine_hemisphere(u0, u1)
         x, y = frame(n)
         return combine(a, x, b, y, c, n), e, False, False
-    if kind == TABLE:
+    if tables is not None and kind == TABLE:
         u3, _, _, _ = uniforms(path, path >> 32, event, 3, seed, batch)
-        return _tabulated(facets, facets.table[material], v, n, e, light, scratch, u0, u1, u2, u3)
+        return _tabulated(tables, facets.table[material], v, n, e, light, scratch, u0, u1, u2, u3)
     across = perpendicular(v, n)
     if polarised:
         turn(light, rotation(e, v, across))
@@ -177,13 +193,13 @@ def _one_of_many(eta_i, eta_t, scratch, threshold):
 
 
 @kernel(allocates=False)
-def _tabulated(facets, t, v, n, e, light, scratch, u0, u1, u2, u3):
+def _tabulated(tables, t, v, n, e, light, scratch, u0, u1, u2, u3):
     """Reflection by a table: its delta term or a direction drawn from it. It depolarises."""
     x, y = frame(n)
     wi = (-dot(v, x), -dot(v, y), -dot(v, n))
     delta, diffuse, f = scratch[0], scratch[1], scratch[2]
-    specular_table(facets.tables, t, wi[2], delta)
-    albedo_table(facets.tables, t, wi[2], diffuse)
+    specular_table(tables, t, wi[2], delta)
+    albedo_table(tables, t, wi[2], diffuse)
     mirrored = 0.0
     scattered = 0.0
     for s in range(light.shape[0]):
@@ -195,11 +211,11 @@ def _tabulated(facets, t, v, n, e, light, scratch, u0, u1, u2, u3):
         for s in range(light.shape[0]):
             light[s, 0] *= delta[s] / chance
         return _reflect(v, n), e, False, True
-    wo, pdf = sample_table(facets.tables, t, wi, u0, u1, u2)
+    wo, pdf = sample_table(tables, t, wi, u0, u1, u2)
     if pdf <= 0.0:
         light[:, :] = 0.0
         return v, e, False, True
-    eval_table(facets.tables, t, wi, wo, f)
+    eval_table(tables, t, wi, wo, f)
     for s in range(light.shape[0]):
         light[s, 0] *= f[s] * wo[2] / (pdf * (1.0 - chance))
     return combine(wo[0], x, wo[1], y, wo[2], n), e, False, False

@@ -66,7 +66,8 @@ _DOWN = (0.0, 0.0, -1.0)
 
 @kernel(allocates=False)
 def trace_path(
-    zones, facets, media, share, polarised, v, x, y, max_bounces, seed, batch, path, ray, light, scratch, absorbed
+    zones, facets, tables, media, share, polarised, v, x, y, max_bounces, seed, batch, path, ray, light, scratch,
+    absorbed,
 ):  # fmt: skip
     """Follow one path to its end.
 
@@ -74,6 +75,7 @@ def trace_path(
     ----------
     zones : Zones
     facets : Facets
+    tables : Pool or None
     media : Media
     share : ndarray, shape (S,)
     polarised : bool
@@ -160,7 +162,7 @@ def trace_path(
                     return KILLED, v, bounces, straight, rays
                 bounces += 1
                 v, e, crossed, specular = interact(
-                    facets, media, polarised, layer, material, front, v, _UP if front else _DOWN, e, light,
+                    facets, tables, media, polarised, layer, material, front, v, _UP if front else _DOWN, e, light,
                     scratch, path, event, seed, batch,
                 )  # fmt: skip
                 straight = straight and specular
@@ -246,7 +248,7 @@ def trace_path(
                             return KILLED, v, bounces, straight, rays
                         bounces += 1
                         v, e, crossed, specular = interact(
-                            facets, media, polarised, layer, material, front, v, n, e, light,
+                            facets, tables, media, polarised, layer, material, front, v, n, e, light,
                             scratch, path, event, seed, batch,
                         )  # fmt: skip
                         straight = straight and specular and n[0] == 0.0 and n[1] == 0.0

@@ -128,8 +128,8 @@ class _Layers:
         # in a medium that hardly absorbs, light scatters thousands of times before it is out
         max_bounces = MAX_SEGMENTS if stack.scatters else MAX_BOUNCES
         trace_stack(
-            self._scene.zones, self._facets, stack.media, stack.polarised, tracer._to_channels, bins, beam, part,
-            tracer._seed, batch, max_bounces, sums,
+            self._scene.zones, self._facets, stack.tables, stack.media, stack.polarised, tracer._to_channels,
+            bins, beam, part, tracer._seed, batch, max_bounces, sums,
         )  # fmt: skip
 
 
