@@ -46,6 +46,14 @@ class Measurement:
     threads : int, optional
         Default: one a processor. The result does not depend on it.
 
+    Attributes
+    ----------
+    tracer : Tracer
+        How the specimen is traced.
+    tally : Tally
+    seconds, trace_seconds : float
+        Spent in all, and of these in the kernel.
+
     Raises
     ------
     InputError
@@ -81,18 +89,18 @@ class Measurement:
         self._strata = 2 ** (exponent // 2), 2 ** (exponent - exponent // 2)
         self.paths_per_batch = 16 * rows * 2**exponent
         self.planned_batches = max(MIN_BATCHES, -(-rays // self.paths_per_batch))
-        self._tracer = Tracer(specimen, seed, self.paths_per_batch // rows)
+        self.tracer = Tracer(specimen, seed, self.paths_per_batch // rows)
         self._bins = Bins(
-            axis(sin2_edges), axis(-np.cos(self._phi_edges)), grid.orders, self._tracer.stack.share
+            axis(sin2_edges), axis(-np.cos(self._phi_edges)), grid.orders, self.tracer.stack.share
         )
         self.tally = Tally(
             rows,
             (len(self._theta_edges) - 1) * (len(self._phi_edges) - 1),
             len(grid.channels),
             max(1, -(-_UNITS // rows)),
-            self._tracer.hemispheres,
+            self.tracer.hemispheres,
             grid.orders,
-            self._tracer.ledger_names,
+            self.tracer.ledger_names,
         )
         self.seconds = 0.0
         self.trace_seconds = 0.0  # of which in the kernel
@@ -107,7 +115,7 @@ class Measurement:
         """
         started = time.perf_counter()
         batch = self.tally.batches
-        realisation = self._tracer.realise(batch)
+        realisation = self.tracer.realise(batch)
         cells, specular, energy, ledger = self.tally.accumulators
         rows, chunks = cells.shape[:2]
         packets = self._strata[0] * self._strata[1]
@@ -204,7 +212,7 @@ class Measurement:
 
     def _provenance(self) -> dict[str, Any]:
         paths = self.tally.ledger["paths"]
-        surfaces = self._tracer.statistics()
+        surfaces = self.tracer.statistics()
         return {
             "name": self.specimen.name,
             "specimen": self.specimen.text,
