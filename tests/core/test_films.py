@@ -158,13 +158,14 @@ def test_a_monstrous_mirror_does_not_overflow():
 @pytest.mark.parametrize("nanometres", [1.0, 300.0, 1e5])
 def test_light_that_just_grazes_inside_a_film(nanometres):
     """At the critical angle of a film its wave neither runs nor decays: the limit from both sides, and finite."""
-    n_above, n_film = 2.0, 1.0  # sin theta = 1/2 exactly at cos = sqrt(3)/2, to rounding
-    cosine = math.sqrt(0.75)
+    # 0.75^2 - 1.25^2 + (1.25 cos)^2 = 0, exactly so in double precision
+    n_above, n_film, cosine = 1.25, 0.75, 0.8
     films = stack((n_film, 0.0, nanometres))
     at = film_amplitudes(cosine, n_above, *films, n_above, 0.0, GREEN)
-    # fields linear in depth: s has E' = i k C, so t_s = 1 / (1 - i k0 d q / 2), q = n cos theta of the outside
-    expected = 1 / (1 + (math.pi * nanometres / 550 * n_above * cosine) ** 2)
-    assert at[2] == pytest.approx(expected, rel=1e-6)
+    # E of s and H of p are linear in depth: with q = n cos theta = 1 outside, t_s = 1 / (1 - i k0 d q / 2)
+    # and t_p the same with (n_film / n_above)^2 q
+    for transmitted, q in zip(at[2:4], (1.0, 0.6**2), strict=True):
+        assert transmitted == pytest.approx(1 / (1 + (math.pi * nanometres / 550 * q) ** 2), rel=1e-13)
     for shift in (-1e-15, 1e-15):
         assert film_amplitudes(cosine + shift, n_above, *films, n_above, 0.0, GREEN) == pytest.approx(
             at, abs=1e-5

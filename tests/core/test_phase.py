@@ -161,6 +161,18 @@ def test_table_never_scatters_into_its_gaps():
         assert -0.5 <= c <= 0.1 or 0.7 <= c <= 1.0
 
 
+def test_rounding_at_the_corners_of_a_table_leads_nowhere_else():
+    rng = np.random.default_rng(9)
+    for _ in range(300):
+        corners = np.sort(np.concatenate([[-1, 1], rng.uniform(-1, 1, 4)]))
+        case = table(corners, rng.uniform(0, 1, 6) * rng.integers(0, 2, 6) + [0, 0, 1e-3, 1, 0, 0])
+        cdf = tabulated_cdf(*case[2:])
+        for i in range(5):
+            for u in (cdf[i], np.nextafter(cdf[i], 1.0), np.nextafter(cdf[i + 1], 0.0)):
+                if cdf[i] <= u < cdf[i + 1]:
+                    assert corners[i] <= phase_sample(*case, cdf, float(u)) <= corners[i + 1]
+
+
 def test_cdf_ends_at_one():
     cdf = tabulated_cdf(*CASES["peak"][2:])
     assert (cdf[0], cdf[-1]) == (0.0, 1.0)
