@@ -8,12 +8,10 @@ disperses, transmitted light goes on as a single wavelength, drawn by energy, th
 
 from __future__ import annotations
 
-import math
-
 from gonio.core.directions import combine, cosine_hemisphere, dot, frame, unit
 from gonio.core.films import film_amplitudes
 from gonio.core.jit import kernel
-from gonio.core.optics import fresnel_amplitudes, refract
+from gonio.core.optics import fresnel_amplitudes, fresnel_transmission, refract
 from gonio.core.philox import uniforms
 from gonio.core.stokes import mueller, perpendicular, rotation
 from gonio.table.interpolation import albedo_table, eval_table, sample_table, specular_table
@@ -159,14 +157,13 @@ def _interface(facets, media, layer, material, front, v, n, light, scratch):
         reflected += scratch[I_R, s]
         scratch[I_T, s] = 0.0
         if clear:
-            if count > 0:
-                scratch[T_S, s], scratch[T_P, s] = t_s, t_p
-                scratch[T_RE, s], scratch[T_IM, s] = cross.real, cross.imag
-            else:  # lossless, and both fields transmitted in phase
-                scratch[T_S, s] = max(0.0, 1.0 - scratch[R_S, s])
-                scratch[T_P, s] = max(0.0, 1.0 - scratch[R_P, s])
-                scratch[T_RE, s] = math.sqrt(scratch[T_S, s] * scratch[T_P, s])
-                scratch[T_IM, s] = 0.0
+            if count == 0:
+                t_s, t_p, cross_t = fresnel_transmission(cosine, eta_t / eta_i)
+                cross = complex(cross_t, 0.0)
+            scratch[T_S, s] = t_s
+            scratch[T_P, s] = t_p
+            scratch[T_RE, s] = cross.real
+            scratch[T_IM, s] = cross.imag
             scratch[I_T, s] = max(0.0, _intensity(light[s], scratch[T_S, s], scratch[T_P, s]))
             transmitted += scratch[I_T, s]
     return reflected, transmitted
