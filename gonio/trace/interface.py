@@ -82,7 +82,8 @@ def interact(
             light[s, 1:] = 0.0
         a, b, c = cosine_hemisphere(u0, u1)
         x, y = frame(n)
-        return combine(a, x, b, y, c, n), e, False, False
+        w = combine(a, x, b, y, c, n)
+        return w, perpendicular(w, n), False, False
     if tables is not None and kind == TABLE:
         u3, _, _, _ = uniforms(path, path >> 32, event, 3, seed, batch)
         return _tabulated(tables, facets.table[material], v, n, e, light, scratch, u0, u1, u2, u3)
@@ -207,7 +208,8 @@ def _tabulated(tables, t, v, n, e, light, scratch, u0, u1, u2, u3):
     if u3 < chance:
         for s in range(light.shape[0]):
             light[s, 0] *= delta[s] / chance
-        return _reflect(v, n), e, False, True
+        w = _reflect(v, n)
+        return w, perpendicular(w, n), False, True
     wo, pdf = sample_table(tables, t, wi, u0, u1, u2)
     if pdf <= 0.0:
         light[:, :] = 0.0
@@ -215,7 +217,8 @@ def _tabulated(tables, t, v, n, e, light, scratch, u0, u1, u2, u3):
     eval_table(tables, t, wi, wo, f)
     for s in range(light.shape[0]):
         light[s, 0] *= f[s] * wo[2] / (pdf * (1.0 - chance))
-    return combine(wo[0], x, wo[1], y, wo[2], n), e, False, False
+    w = combine(wo[0], x, wo[1], y, wo[2], n)
+    return w, perpendicular(w, n), False, False
 
 
 @kernel(allocates=False)

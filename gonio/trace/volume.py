@@ -70,10 +70,10 @@ def scatter(media, medium, polarised, v, e, light, path, event, seed, batch):
     a, b = radius * math.cos(2.0 * math.pi * u1), radius * math.sin(2.0 * math.pi * u1)
     s, t = frame(v)
     w = unit(combine(a, s, b, t, c, v))
+    across = perpendicular(v, w)
     if kind != RAYLEIGH or not polarised:
         light[:, 1:] = 0.0
-        return w, e
-    across = perpendicular(v, w)
+        return w, across
     turn(light, rotation(e, v, across))
     a_s2, a_p2, cross = rayleigh_polarisation(c)
     for i in range(light.shape[0]):
