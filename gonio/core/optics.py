@@ -153,7 +153,7 @@ def fresnel_amplitudes(cos_i, eta, k):
 
     r_s = (cos_i - q)/(cos_i + q) and r_p = (n^2 cos_i - q)/(n^2 cos_i + q) with n = eta + i k and
     q = n cos theta_t = sqrt(n^2 - sin^2 theta_i), Im q >= 0 (Born & Wolf, sections 1.5 and 14.2, with
-    n + i k for n (1 + i kappa)). |r| = 1 to rounding at total internal reflection, where `fresnel_dielectric` is exact.
+    n + i k for n (1 + i kappa)). |r| = 1 to 1 ulp at total internal reflection.
 
     Parameters
     ----------
@@ -171,9 +171,17 @@ def fresnel_amplitudes(cos_i, eta, k):
     a, b = root((eta - 1.0) * (eta + 1.0) - k * k + cos2, 2.0 * eta * k)
     denominator = (cos_i + a) * (cos_i + a) + b * b
     r_s = complex(((cos_i - a) * (cos_i + a) - b * b) / denominator, -2.0 * cos_i * b / denominator)
-    # r_p = -r_s (q cos - sin^2)/(q cos + sin^2): exactly of modulus |r_s| where q is imaginary
+    # r_p = -r_s (q cos - sin^2)/(q cos + sin^2), of modulus |r_s| where q is imaginary
+    total = a == 0.0
     a *= cos_i
     b *= cos_i
     denominator = (a + sin2) * (a + sin2) + b * b
     ratio = complex(((a - sin2) * (a + sin2) + b * b) / denominator, 2.0 * b * sin2 / denominator)
-    return r_s, -r_s * ratio
+    r_p = -r_s * ratio
+    return (_unit(r_s), _unit(r_p)) if total else (r_s, r_p)
+
+
+@kernel(allocates=False)
+def _unit(r):
+    """Put a number of modulus 1 but for a few roundings onto the unit circle: a Newton step of 1/|r|."""
+    return r * (1.5 - 0.5 * (r.real * r.real + r.imag * r.imag))

@@ -89,14 +89,14 @@ def hg(g, cos):
 def sample_hg(g, u):
     """Cosine distributed as `hg`.
 
-    The textbook's (1 + g^2 - ((1 - g^2)/(1 - g + 2 g u))^2) / (2 g), multiplied out until nothing is
-    divided by g.
+    The textbook's (1 + g^2 - ((1 - g^2)/t)^2) / (2 g) with t = 1 - g + 2 g u, solved for the distance of
+    the cosine from its peak: 1 - cos = 2 (1 - g)^2 (1 - u) (1 + g u) / t^2, which has nothing to cancel.
     """
-    x = 2.0 * u - 1.0
-    t = 1.0 + g * x
-    one_g2 = 1.0 + g * g
-    cos = (x * one_g2 + 0.5 * g * (3.0 - g * g + x * x * one_g2)) / (t * t)
-    return min(1.0, max(-1.0, cos))
+    size = abs(g)
+    v = u if g >= 0.0 else 1.0 - u
+    ratio = (1.0 - size) / (1.0 - size + 2.0 * size * v)
+    distance = 2.0 * ratio * ratio * (1.0 - v) * (1.0 + size * v)
+    return 1.0 - distance if g >= 0.0 else distance - 1.0
 
 
 @kernel(allocates=False)

@@ -117,7 +117,7 @@ def trace_surface(
         path = (beam.row * packets + k) * PACKET_WIDTH
         u, v, _, _ = uniforms(path, path >> 32, 0, 1, seed, batch)
         wi = _incident(beam, u, v)
-        i, j = _morton(k)
+        i, j = morton(k)
         start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, batch, path)
         mirror_x, mirror_y = packet[DIR_X, 0], packet[DIR_Y, 0]
         sums.ledger[RAYS] += trace_packet(
@@ -135,13 +135,16 @@ def trace_surface(
 
 
 @kernel
-def trace_stack(zones, facets, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums):
+def trace_stack(
+    zones, facets, tables, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums
+):
     """Trace paths through a stack of layers and bin them by where they leave.
 
     Parameters
     ----------
     zones : Zones
     facets : Facets
+    tables : Pool or None
     media : Media
     polarised : bool
         As in `gonio.trace.stack.Stack`.
@@ -165,7 +168,7 @@ def trace_stack(zones, facets, media, polarised, to_channels, bins, beam, part, 
     dx = width_x / (4 * part.strata_x)
     dy = width_y / (4 * part.strata_y)
     for k in range(part.first, part.last):
-        i, j = _morton(k)
+        i, j = morton(k)
         for lane in range(PACKET_WIDTH):
             path = (beam.row * packets + k) * PACKET_WIDTH + lane
             u, v, a, b = uniforms(path, path >> 32, 0, 0, seed, batch)
@@ -174,7 +177,7 @@ def trace_stack(zones, facets, media, polarised, to_channels, bins, beam, part, 
             u, v, _, _ = uniforms(path, path >> 32, 0, 1, seed, batch)
             wi = _incident(beam, u, v)
             status, wo, bounces, straight, rays = trace_path(
-                zones, facets, media, bins.share, polarised, (-wi[0], -wi[1], -wi[2]), x, y,
+                zones, facets, tables, media, bins.share, polarised, (-wi[0], -wi[1], -wi[2]), x, y,
                 max_bounces, seed, batch, path, ray, light, scratch, absorbed,
             )  # fmt: skip
             sums.ledger[RAYS] += rays
@@ -231,7 +234,7 @@ def _count(to_channels, bins, sums, wi, wo, status, bounces, delta, weight):
 
 
 @kernel
-def _morton(k):
+def morton(k):
     """Place of packet k: x from its odd bits, y from its even ones."""
     i = 0
     j = 0

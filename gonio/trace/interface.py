@@ -8,12 +8,10 @@ disperses, transmitted light goes on as a single wavelength, drawn by energy, th
 
 from __future__ import annotations
 
-import math
-
-from gonio.core.directions import cosine_hemisphere, frame
+from gonio.core.directions import combine, cosine_hemisphere, dot, frame, unit
 from gonio.core.films import film_amplitudes
 from gonio.core.jit import kernel
-from gonio.core.optics import fresnel_amplitudes
+from gonio.core.optics import fresnel_amplitudes, fresnel_transmission, refract
 from gonio.core.philox import uniforms
 from gonio.core.stokes import mueller, perpendicular, rotation
 from gonio.table.interpolation import albedo_table, eval_table, sample_table, specular_table
@@ -25,12 +23,30 @@ R_S, R_P, R_RE, R_IM, T_S, T_P, T_RE, T_IM, I_R, I_T, SCRATCH_ROWS = range(11)
 
 
 @kernel(allocates=False)
-def interact(facets, media, polarised, layer, material, front, v, n, e, light, scratch, path, event, seed, batch):
+def interact(
+    facets,
+    tables,
+    media,
+    polarised,
+    layer,
+    material,
+    front,
+    v,
+    n,
+    e,
+    light,
+    scratch,
+    path,
+    event,
+    seed,
+    batch,
+):
     """Turn light at a facet into what leaves it.
 
     Parameters
     ----------
     facets : Facets
+    tables : Pool or None
     media : Media
     polarised : bool
         Whether Q, U and V are kept; else they stay 0.
@@ -66,10 +82,11 @@ def interact(facets, media, polarised, layer, material, front, v, n, e, light, s
             light[s, 1:] = 0.0
         a, b, c = cosine_hemisphere(u0, u1)
         x, y = frame(n)
-        return _combine(a, x, b, y, c, n), e, False, False
-    if kind == TABLE:
+        w = combine(a, x, b, y, c, n)
+        return w, perpendicular(w, n), False, False
+    if tables is not None and kind == TABLE:
         u3, _, _, _ = uniforms(path, path >> 32, event, 3, seed, batch)
-        return _tabulated(facets, facets.table[material], v, n, e, light, scratch, u0, u1, u2, u3)
+        return _tabulated(tables, facets.table[material], v, n, e, light, scratch, u0, u1, u2, u3)
     across = perpendicular(v, n)
     if polarised:
         turn(light, rotation(e, v, across))
@@ -100,13 +117,16 @@ def interact(facets, media, polarised, layer, material, front, v, n, e, light, s
             if s != sample:
                 light[s, :] = 0.0
         _apply(light, scratch, T_S, gain, polarised)
-    return refract(v, n, eta_t[sample] / eta_i[sample]), across, True, True
+    w, cos_t = refract(v, n, eta_t[sample] / eta_i[sample])
+    if cos_t == 0.0:  # rounding, at the critical angle
+        light[:, :] = 0.0
+    return w, across, True, True
 
 
 @kernel(allocates=False)
 def _interface(facets, media, layer, material, front, v, n, light, scratch):
     """What the interface does to each sample, into `scratch`; returns the sums of intensities, I_R and I_T."""
-    cosine = min(1.0, -(v[0] * n[0] + v[1] * n[1] + v[2] * n[2]))
+    cosine = min(1.0, -dot(v, n))
     clear = facets.kind[material] == CLEAR
     first, count = facets.film[material]
     if not front:
@@ -138,14 +158,13 @@ def _interface(facets, media, layer, material, front, v, n, light, scratch):
         reflected += scratch[I_R, s]
         scratch[I_T, s] = 0.0
         if clear:
-            if count > 0:
-                scratch[T_S, s], scratch[T_P, s] = t_s, t_p
-                scratch[T_RE, s], scratch[T_IM, s] = cross.real, cross.imag
-            else:  # lossless, and both fields transmitted in phase
-                scratch[T_S, s] = max(0.0, 1.0 - scratch[R_S, s])
-                scratch[T_P, s] = max(0.0, 1.0 - scratch[R_P, s])
-                scratch[T_RE, s] = math.sqrt(scratch[T_S, s] * scratch[T_P, s])
-                scratch[T_IM, s] = 0.0
+            if count == 0:
+                t_s, t_p, cross_t = fresnel_transmission(cosine, eta_t / eta_i)
+                cross = complex(cross_t, 0.0)
+            scratch[T_S, s] = t_s
+            scratch[T_P, s] = t_p
+            scratch[T_RE, s] = cross.real
+            scratch[T_IM, s] = cross.imag
             scratch[I_T, s] = max(0.0, _intensity(light[s], scratch[T_S, s], scratch[T_P, s]))
             transmitted += scratch[I_T, s]
     return reflected, transmitted
@@ -172,13 +191,13 @@ def _one_of_many(eta_i, eta_t, scratch, threshold):
 
 
 @kernel(allocates=False)
-def _tabulated(facets, t, v, n, e, light, scratch, u0, u1, u2, u3):
+def _tabulated(tables, t, v, n, e, light, scratch, u0, u1, u2, u3):
     """Reflection by a table: its delta term or a direction drawn from it. It depolarises."""
     x, y = frame(n)
-    wi = (-_dot(v, x), -_dot(v, y), -_dot(v, n))
+    wi = (-dot(v, x), -dot(v, y), -dot(v, n))
     delta, diffuse, f = scratch[0], scratch[1], scratch[2]
-    specular_table(facets.tables, t, wi[2], delta)
-    albedo_table(facets.tables, t, wi[2], diffuse)
+    specular_table(tables, t, wi[2], delta)
+    albedo_table(tables, t, wi[2], diffuse)
     mirrored = 0.0
     scattered = 0.0
     for s in range(light.shape[0]):
@@ -189,28 +208,29 @@ def _tabulated(facets, t, v, n, e, light, scratch, u0, u1, u2, u3):
     if u3 < chance:
         for s in range(light.shape[0]):
             light[s, 0] *= delta[s] / chance
-        return _reflect(v, n), e, False, True
-    wo, pdf = sample_table(facets.tables, t, wi, u0, u1, u2)
+        w = _reflect(v, n)
+        return w, perpendicular(w, n), False, True
+    wo, pdf = sample_table(tables, t, wi, u0, u1, u2)
     if pdf <= 0.0:
         light[:, :] = 0.0
         return v, e, False, True
-    eval_table(facets.tables, t, wi, wo, f)
+    eval_table(tables, t, wi, wo, f)
     for s in range(light.shape[0]):
         light[s, 0] *= f[s] * wo[2] / (pdf * (1.0 - chance))
-    return _combine(wo[0], x, wo[1], y, wo[2], n), e, False, False
-
-
-@kernel(allocates=False)
-def refract(v, n, eta):
-    """Where light along v goes beyond a facet of normal n (v.n < 0) and relative index eta; not for TIR."""
-    cosine = -_dot(v, n)
-    cos_t = math.sqrt(max(0.0, 1.0 - (1.0 - cosine * cosine) / (eta * eta)))
-    return _unit(_combine(1.0 / eta, v, cosine / eta - cos_t, n, 0.0, n))
+    w = combine(wo[0], x, wo[1], y, wo[2], n)
+    return w, perpendicular(w, n), False, False
 
 
 @kernel(allocates=False)
 def _reflect(v, n):
-    return _unit(_combine(1.0, v, -2.0 * _dot(v, n), n, 0.0, n))
+    return unit(combine(1.0, v, -2.0 * dot(v, n), n, 0.0, n))
+
+
+@kernel(allocates=False)
+def scale(stokes, factor):
+    """Multiply a Stokes vector."""
+    for i in range(4):
+        stokes[i] *= factor
 
 
 @kernel(allocates=False)
@@ -241,24 +261,3 @@ def _apply(light, scratch, first, gain, polarised):
         cross = complex(scratch[first + 2, s], scratch[first + 3, s])
         i, q, u, v = mueller(light[s, 0], light[s, 1], light[s, 2], light[s, 3], a_s2, a_p2, cross)
         light[s, 0], light[s, 1], light[s, 2], light[s, 3] = gain * i, gain * q, gain * u, gain * v
-
-
-@kernel(allocates=False)
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@kernel(allocates=False)
-def _combine(a, x, b, y, c, z):
-    """a x + b y + c z"""
-    return (
-        a * x[0] + b * y[0] + c * z[0],
-        a * x[1] + b * y[1] + c * z[1],
-        a * x[2] + b * y[2] + c * z[2],
-    )
-
-
-@kernel(allocates=False)
-def _unit(v):
-    scale = 1.0 / math.sqrt(_dot(v, v))
-    return scale * v[0], scale * v[1], scale * v[2]

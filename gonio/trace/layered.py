@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from gonio.core.directions import frame
+from gonio.core.directions import dot, unit
 from gonio.core.embree import (
     DIR_X,
     DIR_Y,
@@ -36,26 +36,29 @@ from gonio.core.embree import (
     intersect1,
 )  # fmt: skip
 from gonio.core.jit import kernel
-from gonio.core.phase import RAYLEIGH, phase_sample, rayleigh_polarisation
 from gonio.core.philox import uniforms
-from gonio.core.stokes import mueller, perpendicular, rotation
-from gonio.trace.interface import interact, turn
+from gonio.core.stokes import perpendicular
+from gonio.trace.interface import interact, scale
 from gonio.trace.stack import (
-    ABSORBS,
     BOTTOM,
-    CURVE_COUNT,
-    CURVE_FIRST,
     LIFT,
     NONE,
-    PHASE_KIND,
     PLANE,
-    SCATTERS,
     TOP,
     UNIT,
     WIDTH_X,
     WIDTH_Y,
 )
-from gonio.trace.transport import ABSORBED, KILLED, LOST, MAX_SEGMENTS, REFLECTED, ROULETTE_BOUNCES, TRANSMITTED
+from gonio.trace.transport import (
+    ABSORBED,
+    KILLED,
+    LOST,
+    MAX_SEGMENTS,
+    REFLECTED,
+    ROULETTE_BOUNCES,
+    TRANSMITTED,
+)
+from gonio.trace.volume import fly, scatter
 
 _UP = (0.0, 0.0, 1.0)
 _DOWN = (0.0, 0.0, -1.0)
@@ -63,7 +66,8 @@ _DOWN = (0.0, 0.0, -1.0)
 
 @kernel(allocates=False)
 def trace_path(
-    zones, facets, media, share, polarised, v, x, y, max_bounces, seed, batch, path, ray, light, scratch, absorbed
+    zones, facets, tables, media, share, polarised, v, x, y, max_bounces, seed, batch, path, ray, light, scratch,
+    absorbed,
 ):  # fmt: skip
     """Follow one path to its end.
 
@@ -71,6 +75,7 @@ def trace_path(
     ----------
     zones : Zones
     facets : Facets
+    tables : Pool or None
     media : Media
     share : ndarray, shape (S,)
     polarised : bool
@@ -121,7 +126,7 @@ def trace_path(
     rays = 0
     for event in range(1, MAX_SEGMENTS):
         energy = _energy(light, share)
-        if energy == 0.0 and _dark(light):
+        if _strongest(light) == 0.0:
             return ABSORBED, v, bounces, straight, rays
         if in_gap:
             gap = zones.gap[zone]  # above `zone`
@@ -130,7 +135,7 @@ def trace_path(
                 limit = (gap - depth) / -v[2]
             elif v[2] > 0.0:
                 limit = depth / v[2]
-            distance, collided = _fly(media, medium, light, limit, path, event, seed, batch)
+            distance, collided = fly(media, medium, light, limit, path, event, seed, batch)
             if medium > 0:
                 absorbed[2 * medium - 1] += energy - _energy(light, share)
             if not collided and limit == math.inf:
@@ -157,7 +162,7 @@ def trace_path(
                     return KILLED, v, bounces, straight, rays
                 bounces += 1
                 v, e, crossed, specular = interact(
-                    facets, media, polarised, layer, material, front, v, _UP if front else _DOWN, e, light,
+                    facets, tables, media, polarised, layer, material, front, v, _UP if front else _DOWN, e, light,
                     scratch, path, event, seed, batch,
                 )  # fmt: skip
                 straight = straight and specular
@@ -177,7 +182,7 @@ def trace_path(
             continue
         else:
             box = zones.box[zone]
-            unit = box[UNIT]
+            metres = box[UNIT]
             ids = ray.view(np.int32)
             ray[ORG_X], ray[ORG_Y], ray[ORG_Z] = x, y, z
             ray[DIR_X], ray[DIR_Y], ray[DIR_Z] = v
@@ -188,7 +193,8 @@ def trace_path(
             ids[INST_PRIM_ID] = MISS
             h = zones.embree
             intersect1(
-                Handle(h.intersect1, h.intersect16, h.occluded1, zones.scene[zone], h.coherent, h.incoherent), ray
+                Handle(h.intersect1, h.intersect16, h.occluded1, zones.scene[zone], h.coherent, h.incoherent),
+                ray,
             )
             rays += 1
             hit = ids[GEOM_ID] != MISS
@@ -197,8 +203,8 @@ def trace_path(
                 limit = float(ray[T_FAR])
             else:
                 limit, face = _to_face(box, x, y, z, v)
-            distance, collided = _fly(media, medium, light, limit * unit, path, event, seed, batch)
-            distance /= unit
+            distance, collided = fly(media, medium, light, limit * metres, path, event, seed, batch)
+            distance /= metres
             if medium > 0:
                 absorbed[2 * medium - 1] += energy - _energy(light, share)
                 energy = _energy(light, share)
@@ -207,10 +213,10 @@ def trace_path(
             z += distance * v[2]
             if not collided and not hit:
                 if face == 1:  # exactly onto the opposite face
-                    corner_x += math.copysign(box[WIDTH_X] * unit, v[0])
+                    corner_x += math.copysign(box[WIDTH_X] * metres, v[0])
                     x = 0.0 if v[0] > 0.0 else box[WIDTH_X]
                 elif face == 2:
-                    corner_y += math.copysign(box[WIDTH_Y] * unit, v[1])
+                    corner_y += math.copysign(box[WIDTH_Y] * metres, v[1])
                     y = 0.0 if v[1] > 0.0 else box[WIDTH_Y]
                 else:
                     up = v[2] > 0.0
@@ -222,13 +228,13 @@ def trace_path(
                         return _left(light), v, bounces, straight, rays
                     in_gap = True
                     depth = zones.gap[zone] if up else 0.0
-                    corner_x += x * unit
-                    corner_y += y * unit
+                    corner_x += x * metres
+                    corner_y += y * metres
                 continue
             if not collided:
                 layer = zones.first_layer[zone] + ids[GEOM_ID]
-                n = _unit(float(ray[NORMAL_X]), float(ray[NORMAL_Y]), float(ray[NORMAL_Z]))
-                front = v[0] * n[0] + v[1] * n[1] + v[2] * n[2] < 0.0
+                n = unit((float(ray[NORMAL_X]), float(ray[NORMAL_Y]), float(ray[NORMAL_Z])))
+                front = dot(v, n) < 0.0
                 if not front:
                     n = (-n[0], -n[1], -n[2])
                 crossed = True
@@ -242,7 +248,7 @@ def trace_path(
                             return KILLED, v, bounces, straight, rays
                         bounces += 1
                         v, e, crossed, specular = interact(
-                            facets, media, polarised, layer, material, front, v, n, e, light,
+                            facets, tables, media, polarised, layer, material, front, v, n, e, light,
                             scratch, path, event, seed, batch,
                         )  # fmt: skip
                         straight = straight and specular and n[0] == 0.0 and n[1] == 0.0
@@ -263,7 +269,7 @@ def trace_path(
         bounces += 1
         straight = False
         energy = _energy(light, share)
-        v, e = _scatter(media, medium, polarised, v, e, light, path, event, seed, batch)
+        v, e = scatter(media, medium, polarised, v, e, light, path, event, seed, batch)
         absorbed[2 * medium - 1] += energy - _energy(light, share)
         if bounces >= ROULETTE_BOUNCES:
             absorbed[2 * medium - 1] += _roulette(light, share, path, event, seed, batch)
@@ -280,17 +286,18 @@ def _energy(light, share):
 
 
 @kernel(allocates=False)
-def _dark(light):
+def _strongest(light):
+    """Intensity of the strongest sample."""
+    strongest = 0.0
     for s in range(light.shape[0]):
-        if light[s, 0] != 0.0:
-            return False
-    return True
+        strongest = max(strongest, light[s, 0])
+    return strongest
 
 
 @kernel(allocates=False)
 def _left(light):
     """Light that left above is reflected, if there is any."""
-    return ABSORBED if _dark(light) else REFLECTED
+    return REFLECTED if _strongest(light) > 0.0 else ABSORBED
 
 
 @kernel(allocates=False)
@@ -325,80 +332,6 @@ def _to_face(box, x, y, z, v):
 
 
 @kernel(allocates=False)
-def _fly(media, medium, light, limit, path, event, seed, batch):
-    """Free flight of at most `limit` metres: how far, and whether it ends in a collision with the medium.
-
-    Absorption takes its part along the way. Collisions are drawn for one sample, taken by energy, and
-    weigh for the others by the balance heuristic (spectral MIS: Wilkie et al. 2014, section 3).
-    """
-    if media.phase[medium, SCATTERS] == 0:
-        if media.phase[medium, ABSORBS] == 1:
-            for s in range(light.shape[0]):
-                _scale(light[s], _transmittance(media.sigma_a[medium, s], limit))
-        return limit, False
-    u0, u1, _, _ = uniforms(path, path >> 32, event, 0, seed, batch)
-    total = 0.0
-    for s in range(light.shape[0]):
-        total += light[s, 0]
-    chosen = 0
-    below = 0.0
-    for s in range(light.shape[0]):
-        if light[s, 0] > 0.0 and below <= u0 * total:
-            chosen = s
-        below += light[s, 0]
-    sigma = media.sigma_s[medium, chosen]
-    distance = -math.log(u1) / sigma if sigma > 0.0 else math.inf
-    collided = distance < limit
-    if not collided:
-        distance = limit
-    density = 0.0
-    for s in range(light.shape[0]):
-        sigma = media.sigma_s[medium, s]
-        density += light[s, 0] / total * _transmittance(sigma, distance) * (sigma if collided else 1.0)
-    for s in range(light.shape[0]):
-        sigma = media.sigma_s[medium, s]
-        factor = _transmittance(sigma, distance) * (sigma if collided else 1.0) / density
-        _scale(light[s], factor * _transmittance(media.sigma_a[medium, s], distance))
-    return distance, collided
-
-
-@kernel(allocates=False)
-def _transmittance(sigma, distance):
-    """exp(-sigma distance), 1 for nothing over infinity."""
-    return math.exp(-sigma * distance) if sigma > 0.0 else 1.0
-
-
-@kernel(allocates=False)
-def _scatter(media, medium, polarised, v, e, light, path, event, seed, batch):
-    """New direction and axis after a collision. Rayleigh's law polarises, all others depolarise."""
-    u0, u1, _, _ = uniforms(path, path >> 32, event, 1, seed, batch)
-    kind = media.phase[medium, PHASE_KIND]
-    first = media.phase[medium, CURVE_FIRST]
-    last = first + media.phase[medium, CURVE_COUNT]
-    curve = media.curve[:, first:last]
-    c = phase_sample(kind, media.g[medium], curve[0], curve[1], curve[2], u0)
-    radius = math.sqrt(max(0.0, 1.0 - c * c))
-    a, b = radius * math.cos(2.0 * math.pi * u1), radius * math.sin(2.0 * math.pi * u1)
-    s, t = frame(v)
-    w = _unit(
-        a * s[0] + b * t[0] + c * v[0],
-        a * s[1] + b * t[1] + c * v[1],
-        a * s[2] + b * t[2] + c * v[2],
-    )
-    if kind != RAYLEIGH or not polarised:
-        light[:, 1:] = 0.0
-        return w, e
-    across = perpendicular(v, w)
-    turn(light, rotation(e, v, across))
-    a_s2, a_p2, cross = rayleigh_polarisation(c)
-    for i in range(light.shape[0]):
-        light[i, 0], light[i, 1], light[i, 2], light[i, 3] = mueller(
-            light[i, 0], light[i, 1], light[i, 2], light[i, 3], a_s2, a_p2, cross
-        )
-    return w, across
-
-
-@kernel(allocates=False)
 def _roulette(light, share, path, event, seed, batch):
     """Russian roulette on the strongest sample: survivors carry the energy of those that end here.
 
@@ -407,25 +340,11 @@ def _roulette(light, share, path, event, seed, batch):
     float
         Energy that ended, or, negative, that was given to the survivor.
     """
-    survival = 0.0
-    for s in range(light.shape[0]):
-        survival = max(survival, light[s, 0])
+    survival = _strongest(light)
     if survival >= 1.0:
         return 0.0
     energy = _energy(light, share)
     u, _, _, _ = uniforms(path, path >> 32, event, 2, seed, batch)
     for s in range(light.shape[0]):
-        _scale(light[s], 1.0 / survival if u < survival else 0.0)
+        scale(light[s], 1.0 / survival if u < survival else 0.0)
     return energy - _energy(light, share)
-
-
-@kernel(allocates=False)
-def _scale(stokes, factor):
-    for i in range(4):
-        stokes[i] *= factor
-
-
-@kernel(allocates=False)
-def _unit(x, y, z):
-    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-    return scale * x, scale * y, scale * z

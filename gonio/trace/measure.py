@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import time
-from collections.abc import Callable
-from dataclasses import asdict
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,28 +16,19 @@ from gonio.progress import Report
 from gonio.table.checks import relative_noise
 from gonio.table.parts import TRANSMISSION, order_names
 from gonio.table.table import Table
-from gonio.trace.analog import Beam, Bins, Part, Sums, trace_stack, trace_surface
+from gonio.trace.analog import Beam, Bins, Part, Sums
 from gonio.trace.errors import TraceError
-from gonio.trace.scene import TraceScene, pack_optics
-from gonio.trace.stack import StackScene, pack_stack
 from gonio.trace.tally import SheetTally, Tally
-from gonio.trace.transport import MAX_SEGMENTS
+from gonio.trace.tracer import Tracer
 from microgeometry.errors import InputError
 from microgeometry.specimen import Specimen
-from microgeometry.tile import SurfaceStatistics, Tile
 
 MIN_BATCHES = 32
-MAX_BOUNCES = 256
 LOST_LIMIT = 1e-6
 _UNITS = 32  # units of work in a batch, at least: enough for any desktop's threads to share evenly
 _MAX_PACKETS = 1 << 16  # of 16 paths, per row and batch
-_STATISTICS_TILES = 8  # realisations whose facets are measured
 _DEFAULT_RAYS = 20_000_000
-_COHERENT_FACETS = 8  # facets per path of a row below which coherent packets are faster (measured)
 _TRIAL_RATE = 2e6  # paths/s assumed when a time is given, to choose the size of a batch
-
-
-_Run = Callable[[Beam, Part, int, Sums], None]
 
 
 class Measurement:
@@ -57,6 +45,14 @@ class Measurement:
         Everything drawn depends on it, on the batch and on the path, and on nothing else.
     threads : int, optional
         Default: one a processor. The result does not depend on it.
+
+    Attributes
+    ----------
+    tracer : Tracer
+        How the specimen is traced.
+    tally : Tally
+    seconds, trace_seconds : float
+        Spent in all, and of these in the kernel.
 
     Raises
     ------
@@ -86,8 +82,6 @@ class Measurement:
             self._theta_i_edges = None
             self._theta_i = np.radians(grid.theta_i_deg)
             self._sin2 = np.sin(self._theta_i) ** 2, np.sin(self._theta_i) ** 2
-        self._stack = pack_stack(specimen)
-        self._optics = None if len(specimen.layers) > 1 else pack_optics(specimen.layers[0])
         rows = len(self._theta_i)
         exponent = 0
         while 16 * rows * 2 ** (exponent + 1) * MIN_BATCHES <= rays and 2 ** (exponent + 1) <= _MAX_PACKETS:
@@ -95,25 +89,21 @@ class Measurement:
         self._strata = 2 ** (exponent // 2), 2 ** (exponent - exponent // 2)
         self.paths_per_batch = 16 * rows * 2**exponent
         self.planned_batches = max(MIN_BATCHES, -(-rays // self.paths_per_batch))
-        self._to_channels = None if grid.to_channels is None else np.array(grid.to_channels)
+        self.tracer = Tracer(specimen, seed, self.paths_per_batch // rows)
         self._bins = Bins(
-            theta=axis(sin2_edges),
-            phi=axis(-np.cos(self._phi_edges)),
-            orders=grid.orders,
-            share=self._stack.share,
+            axis(sin2_edges), axis(-np.cos(self._phi_edges)), grid.orders, self.tracer.stack.share
         )
         self.tally = Tally(
             rows,
             (len(self._theta_edges) - 1) * (len(self._phi_edges) - 1),
             len(grid.channels),
             max(1, -(-_UNITS // rows)),
-            hemispheres=2 if self._stack.transmits else 1,
-            orders=grid.orders,
-            ledger_names=() if self._optics is not None else _absorbed_names(specimen),
+            self.tracer.hemispheres,
+            grid.orders,
+            self.tracer.ledger_names,
         )
         self.seconds = 0.0
         self.trace_seconds = 0.0  # of which in the kernel
-        self._statistics: list[SurfaceStatistics] = []
 
     def add_batch(self) -> None:
         """Trace one more batch; on a random surface, a new realisation of it.
@@ -125,12 +115,10 @@ class Measurement:
         """
         started = time.perf_counter()
         batch = self.tally.batches
-        tiles = self._tiles(batch)
-        paths_per_row = self.paths_per_batch // len(self._theta_i)
+        realisation = self.tracer.realise(batch)
         cells, specular, energy, ledger = self.tally.accumulators
         rows, chunks = cells.shape[:2]
         packets = self._strata[0] * self._strata[1]
-        run = self._surface(tiles, paths_per_row) if self._optics is not None else self._layers(tiles)
 
         def trace(unit: int) -> None:
             # neighbouring rows cost alike: deal them out, chunk by chunk
@@ -138,12 +126,13 @@ class Measurement:
             place = row, chunk
             beam = Beam(row, float(self._sin2[0][row]), float(self._sin2[1][row]))
             part = Part(*self._strata, chunk * packets // chunks, (chunk + 1) * packets // chunks)
-            run(beam, part, batch, Sums(cells[place], specular[place], energy[place], ledger[place]))
+            sums = Sums(cells[place], specular[place], energy[place], ledger[place])
+            realisation.trace(self._bins, beam, part, batch, sums)
 
         tracing = time.perf_counter()
         for_each(trace, rows * chunks, self._threads)
         self.trace_seconds += time.perf_counter() - tracing
-        self.tally.close_batch(paths_per_row, self._threads)
+        self.tally.close_batch(self.paths_per_batch // rows, self._threads)
         self.seconds += time.perf_counter() - started
         self._check_lost(1e-3)
 
@@ -202,75 +191,28 @@ class Measurement:
             parts=parts,
         )
 
-    def _surface(self, tiles: list[Tile], paths_per_row: int) -> _Run:
-        """Trace one opaque surface, 16 paths at a time."""
-        scene = self._fixed_surface if not self.specimen.is_random else TraceScene(tiles)
-        coherent = paths_per_row * _COHERENT_FACETS >= scene.facets
-
-        def run(beam: Beam, part: Part, batch: int, sums: Sums) -> None:
-            trace_surface(
-                scene.embree, scene.box, coherent, *self._optics, self._to_channels, self._bins, beam, part, self.seed, batch,
-                MAX_BOUNCES, sums,
-            )  # fmt: skip
-
-        return run
-
-    def _layers(self, tiles: list[Tile]) -> _Run:
-        """Trace a stack of layers, or one surface that needs more than `_surface` knows."""
-        scene = self._fixed_layers if not self.specimen.is_random else StackScene(self.specimen.layers, tiles)
-        stack = self._stack
-        facets = scene.label(stack.facets)
-        max_bounces = MAX_SEGMENTS if stack.scatters else MAX_BOUNCES
-
-        def run(beam: Beam, part: Part, batch: int, sums: Sums) -> None:
-            trace_stack(
-                scene.zones, facets, stack.media, stack.polarised, self._to_channels, self._bins, beam, part, self.seed, batch,
-                max_bounces, sums,
-            )  # fmt: skip
-
-        return run
-
-    def _tiles(self, batch: int) -> list[Tile]:
-        """One tile a layer; a new realisation for each batch where they are random."""
-        if not self.specimen.is_random:
-            return self._fixed_tiles
-        tiles = []
-        for number, layer in enumerate(self.specimen.layers):
-            tiles.append(layer.surface.realise(_realisation_seed(self.seed, batch, number)))
-        if len(self._statistics) < _STATISTICS_TILES:
-            self._statistics.append(tiles[0].statistics())
-        return tiles
-
-    @cached_property
-    def _fixed_tiles(self) -> list[Tile]:
-        tiles = [layer.surface.realise(0) for layer in self.specimen.layers]
-        self._statistics.append(tiles[0].statistics())
-        return tiles
-
-    @cached_property
-    def _fixed_surface(self) -> TraceScene:
-        return TraceScene(self._fixed_tiles)
-
-    @cached_property
-    def _fixed_layers(self) -> StackScene:
-        return StackScene(self.specimen.layers, self._fixed_tiles)
-
     def _check_lost(self, limit: float) -> None:
         lost, paths = self.tally.ledger["lost"], self.tally.ledger["paths"]
         if lost > max(1.0, limit * paths):
             raise TraceError(
                 f"{self.specimen.name}: {lost:.0f} of {paths:.0f} paths were lost ({lost / paths:.2g}; at most "
-                f"{limit:g} may be): they fell through the surface. The mesh has holes, a rim that does not meet "
-                "the opposite one, or faces wound clockwise seen from outside; close it, tile it by mirroring "
-                '(tiling = "mirror"), or turn its faces over'
+                f"{limit:g} may be): they fell through the surface. {self._advice()}"
             )
+
+    def _advice(self) -> str:
+        if len(self.specimen.layers) > 1:
+            return (
+                "Two layers cut through each other, or a mesh is not closed; give the medium between the layers "
+                "more thickness, or close the mesh"
+            )
+        return (
+            "The mesh has holes, a rim that does not meet the opposite one, or faces wound clockwise seen from "
+            'outside; close it, tile it by mirroring (tiling = "mirror"), or turn its faces over'
+        )
 
     def _provenance(self) -> dict[str, Any]:
         paths = self.tally.ledger["paths"]
-        statistics = {
-            name: float(np.mean([asdict(s)[name] for s in self._statistics]))
-            for name in asdict(self._statistics[0])
-        }
+        surfaces = self.tracer.statistics()
         return {
             "name": self.specimen.name,
             "specimen": self.specimen.text,
@@ -283,7 +225,8 @@ class Measurement:
             "rays": self.tally.rays,
             "seconds": self.seconds,
             "paths_per_second": paths / self.seconds,
-            "surface": statistics,
+            "surface": surfaces[0],
+            "surfaces": surfaces,
             "versions": {
                 name: importlib.metadata.version(name) for name in ("gonio", "embreex", "numba", "numpy")
             },
@@ -356,17 +299,3 @@ def run(measurement: Measurement, seconds: float | None, progress: Report | None
             progress(min(1.0, fraction), f"{rate:.1f} M paths/s, albedo to {tally.albedo_error():.1e}")
         if fraction >= 1.0:
             return
-
-
-def _realisation_seed(seed: int, batch: int, layer: int) -> int:
-    entropy = (seed, batch, layer) if layer else (seed, batch)
-    return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0])
-
-
-def _absorbed_names(specimen: Specimen) -> list[str]:
-    """Names of the ledger's columns of absorbed energy, two a layer."""
-    return [
-        f"absorbed: layer {number} {part}"
-        for number in range(1, len(specimen.layers) + 1)
-        for part in ("surface", "medium")
-    ]

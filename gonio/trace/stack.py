@@ -92,8 +92,7 @@ class Facets(NamedTuple):
     wavelength: Array
     """(S,) metres; 1 where there are no films to need it."""
     table: NDArray[np.int64]
-    """(M,) index into `tables`."""
-    tables: Pool
+    """(M,) index into the tables."""
 
 
 class Media(NamedTuple):
@@ -116,6 +115,8 @@ class Stack(NamedTuple):
     """A specimen's optics; the geometry of a realisation comes apart from it, as Zones."""
 
     facets: Facets
+    tables: Pool | None
+    """Tables of TABLE facets; None, and nothing about tables is compiled, where there are none."""
     media: Media
     share: Array
     """(S,) weights that turn the energies of the samples into the mean over the table's channels."""
@@ -137,13 +138,14 @@ def pack_stack(specimen: Specimen) -> Stack:
     """
     layers, samples = specimen.layers, specimen.grid.n_samples
     eta = _indices(layers, samples)
-    facets, polarising = _pack_facets(specimen, eta)
+    facets, tables = _pack_facets(specimen, eta)
+    polarising = bool(np.isin(facets.kind, (OPAQUE, CLEAR)).any())
     below: list[Medium | None] = [None, *(layer.medium for layer in layers)]
     media, rayleigh = _pack_media(below, eta)
     to_channels = specimen.grid.to_channels
     share = np.full(samples, 1.0 / samples) if to_channels is None else np.mean(to_channels, axis=0)
     return Stack(
-        facets, media, share,
+        facets, pool_tables(tables) if tables else None, media, share,
         polarised=polarising or rayleigh,
         transmits=layers[-1].material.transmits and bool(np.any(media.sigma_s[-1] + media.sigma_a[-1] == 0)),
         scatters=bool(media.phase[:, SCATTERS].any()),
@@ -158,8 +160,8 @@ def _indices(layers: Sequence[Layer], samples: int) -> Array:
     return np.array(eta, float)
 
 
-def _pack_facets(specimen: Specimen, eta: Array) -> tuple[Facets, bool]:
-    """Facets, and whether any of them polarises."""
+def _pack_facets(specimen: Specimen, eta: Array) -> tuple[Facets, list[Table]]:
+    """Facets, and the tables some of them are made of."""
     layers, grid, samples = specimen.layers, specimen.grid, specimen.grid.n_samples
     materials: list[tuple[Material, int]] = []
     index = np.zeros((len(layers), 2), np.int64)
@@ -209,9 +211,8 @@ def _pack_facets(specimen: Specimen, eta: Array) -> tuple[Facets, bool]:
         film_thickness=np.array([f.thickness for f in films], float),
         wavelength=np.ones(samples) if grid.samples_nm is None else np.array(grid.samples_nm) * 1e-9,
         table=table,
-        tables=pool_tables(tables),
     )
-    return facets, bool(np.isin(kind, (OPAQUE, CLEAR)).any())
+    return facets, tables
 
 
 def _table_of_facets(material: TableMaterial, specimen: Specimen) -> Table:
@@ -266,7 +267,9 @@ def _pack_media(below: Sequence[Medium | None], eta: Array) -> tuple[Media, bool
         else:
             phase[m, PHASE_KIND] = {Isotropic: ISOTROPIC, Rayleigh: RAYLEIGH}[type(law)]
     rayleigh = bool(np.any((phase[:, PHASE_KIND] == RAYLEIGH) & (phase[:, SCATTERS] == 1)))
-    return Media(eta, sigma_a, sigma_s, phase, g, np.concatenate([*curves, np.zeros((3, 0))], axis=1)), rayleigh
+    return Media(
+        eta, sigma_a, sigma_s, phase, g, np.concatenate([*curves, np.zeros((3, 0))], axis=1)
+    ), rayleigh
 
 
 class StackScene:

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from gonio.core.directions import cosine_hemisphere, frame
+from gonio.core.directions import cosine_hemisphere, dot, frame
 from gonio.core.embree import (
     DIR_X,
     DIR_Y,
@@ -258,7 +258,9 @@ def _scatter(
     if eta_k is not None:
         v = (float(vx), float(vy), float(vz))
         n = (float(nx), float(ny), float(nz))
-        _reflect_polarised(v, n, eta_k, bounces[lane] == 1, weight[lane], polarisation[lane], axis[lane], absorbed)
+        _reflect_polarised(
+            v, n, eta_k, bounces[lane] == 1, weight[lane], polarisation[lane], axis[lane], absorbed
+        )
     if (eta_k is not None or albedo is not None) and bounces[lane] >= ROULETTE_BOUNCES:
         return _roulette(lane, eta_k, seed, batch, path, weight, polarisation, bounces, absorbed)
     return 0
@@ -267,7 +269,7 @@ def _scatter(
 @kernel(allocates=False)
 def _reflect_polarised(v, n, eta_k, first, intensity, polarisation, axis, absorbed):
     """Reflect Stokes vectors at a conductor; what comes from the light is not polarised yet."""
-    cosine = min(1.0, -(v[0] * n[0] + v[1] * n[1] + v[2] * n[2]))
+    cosine = min(1.0, -dot(v, n))
     across = perpendicular(v, n)
     if first:
         for s in range(intensity.shape[0]):

@@ -20,7 +20,8 @@ def cut_to_tile(
     """Cut a surface at the faces of the tile and bring what stands out in on the other side.
 
     A surface that is closed over the period stays so, to the bit: the two triangles at an edge are cut at
-    the same point, and each point on a face of the tile has its twin on the opposite one.
+    the same point, and each point on a face of the tile has its twin on the opposite one. Triangles that use
+    a position twice are left out.
 
     Parameters
     ----------
@@ -41,21 +42,13 @@ def cut_to_tile(
             vertices[near, axis] = plane
             vertices, faces, parents = _cut(vertices, faces, parents, axis, plane)
         middles = vertices[faces, axis].mean(axis=1)
-        shifted, origin = [], []
-        for shift, here in (
-            (0.0, (middles >= 0.0) & (middles <= period)),
-            (period, middles < 0.0),
-            (-period, middles > period),
-        ):
-            piece = vertices[faces[here]]
-            piece[..., axis] += shift
-            shifted.append(piece.reshape(-1, 3))
-            origin.append(parents[here])
-        vertices, parents = np.concatenate(shifted), np.concatenate(origin)
-        vertices, index = np.unique(vertices + 0.0, axis=0, return_inverse=True)
-        faces = index.reshape(-1, 3)
-    a, b, c = faces.T
-    whole = (a != b) & (b != c) & (c != a)
+        shift = np.where(middles < 0.0, 1, 0) - np.where(middles > period, 1, 0)
+        # One vertex for each old one and shift.
+        key, index = np.unique(3 * faces + (1 + shift)[:, None], return_inverse=True)
+        vertices, faces = vertices[key // 3], index.reshape(-1, 3)
+        vertices[:, axis] += (key % 3 - 1) * period
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    whole = (a != b).any(axis=1) & (b != c).any(axis=1) & (c != a).any(axis=1)
     pieces = None if labels is None else labels[parents[whole]]
     return TriangleMesh(vertices, faces[whole].astype(np.int32), (0.0, 0.0), size, pieces)
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from microgeometry.specimen import Specimen, parse_specimen
 
@@ -44,6 +45,44 @@ def z_score(values, expected):
     values = np.asarray(values)
     std_error = values.std(ddof=1) / np.sqrt(len(values))
     return abs(values.mean() - expected) / std_error, std_error / expected
+
+
+def chi_squared_p(values, edges, shares):
+    """Chance of a chi^2 as large as that of independent values against the shares expected between edges.
+
+    From the left, bins are thrown together until 10 values are expected in each; the counts sum to the number
+    of values, so there is one degree of freedom less than bins. A value where none can be gives 0.
+    """
+    counts = np.histogram(values, edges)[0]
+    shares = np.asarray(shares) / np.sum(shares)
+    if counts.sum() < len(values) or counts[shares == 0].any():
+        return 0.0
+    group, full = [], 0.0
+    for expected in len(values) * shares:
+        group.append(group[-1] + (full >= 10) if group else 0)
+        full = expected if full >= 10 else full + expected
+    group = np.array(group)
+    if full < 10:
+        group[group == group[-1]] -= 1
+    expected, counts = np.bincount(group, len(values) * shares), np.bincount(group, counts)
+    return stats.chi2.sf(np.sum((counts - expected) ** 2 / expected), len(counts) - 1)
+
+
+def assert_drawn_from(values, density, wrong, low, high):
+    """Independent values follow a density between two limits, by chi^2 on coarse and on fine bins.
+
+    A wrong density, 3 % off in its parameter, must fail the coarse one: 16 bins that hold equal shares.
+    """
+    fine = np.linspace(low, high, 20001)
+    middle, width = 0.5 * (fine[1:] + fine[:-1]), fine[1] - fine[0]
+    cdf = np.append(0.0, np.cumsum(density(middle))) * width
+    assert chi_squared_p(values, fine[::400], np.diff(cdf[::400])) > 1e-4
+    coarse = np.interp(np.linspace(0, cdf[-1], 17)[1:-1], cdf, fine)
+    coarse = np.concatenate(([low], coarse, [high]))
+    assert chi_squared_p(values, coarse, np.diff(np.interp(coarse, fine, cdf))) > 1e-4
+    if wrong is not None:
+        wrong_cdf = np.append(0.0, np.cumsum(wrong(middle)))
+        assert chi_squared_p(values, coarse, np.diff(np.interp(coarse, fine, wrong_cdf))) < 1e-4
 
 
 def assert_closed(tile):
