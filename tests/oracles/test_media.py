@@ -24,6 +24,8 @@ from tests.oracles.measuring import (
     trace,
 )
 
+pytestmark = pytest.mark.compiled
+
 ANGLES = [1, 30, 60, 80]
 COSINES = np.cos(np.radians(ANGLES))
 WAVELENGTHS = [450.0, 550.0, 650.0]

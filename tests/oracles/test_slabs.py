@@ -25,6 +25,8 @@ from tests.oracles.measuring import (
     trace,
 )
 
+pytestmark = pytest.mark.compiled
+
 ANGLES = [0, 45, 56.31, 75]
 COSINES = np.cos(np.radians(ANGLES))
 
