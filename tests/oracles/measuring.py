@@ -76,7 +76,9 @@ def agrees(measured, std_error, expected, batches, precision=None):
     deviation = measured - np.broadcast_to(np.asarray(expected, float), measured.shape)
     assert np.isfinite(measured).all()
     exact = std_error < 1e-12
-    assert np.all(np.abs(deviation[exact]) <= 1e-9), f"no scatter, yet off by {np.abs(deviation[exact]).max():.3g}"
+    assert np.all(np.abs(deviation[exact]) <= 1e-9), (
+        f"no scatter, yet off by {np.abs(deviation[exact]).max():.3g}"
+    )
     if precision is not None:
         assert std_error.max() <= precision, f"error bars up to {std_error.max():.3g}: the test is too weak"
     if exact.all():
@@ -94,7 +96,11 @@ def agrees(measured, std_error, expected, batches, precision=None):
 def agrees_albedo(table, expected, precision=None, channel=0):
     """Assert the directional albedo of every row of a table, or of a part of one (shape (rows,))."""
     agrees(
-        table.row_albedo[:, channel], table.albedo_std_error[:, channel], expected, batches_of(table), precision
+        table.row_albedo[:, channel],
+        table.albedo_std_error[:, channel],
+        expected,
+        batches_of(table),
+        precision,
     )
 
 

@@ -23,7 +23,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from tests.oracles.fresnel import amplitudes, snell
 
@@ -77,7 +76,10 @@ def make_nodes(indices, angles_deg=(), edges_deg=(), per_segment=24, mode=0):
 
 @dataclass
 class Operator:
-    """D + K W on Stokes vectors at the nodes; see the module."""
+    """D + K W on Stokes vectors at the N nodes; see the module.
+
+    D is kept as its blocks, shape (N, S, S); K is (N S, N S), W is (N S,).
+    """
 
     d: np.ndarray
     k: np.ndarray
@@ -87,17 +89,33 @@ class Operator:
         return Operator(self.d + other.d, self.k + other.k, self.w)
 
     def __matmul__(self, other):
-        k = self.d @ other.k + self.k @ other.d + (self.k * self.w) @ other.k
-        return Operator(self.d @ other.d, k, self.w)
+        k = _times(self.d, other.k) + _times(other.d.transpose(0, 2, 1), self.k.T).T
+        return Operator(self.d @ other.d, k + (self.k * self.w) @ other.k, self.w)
 
     def resolvent(self):
         """(1 - self)^-1, the sum over all reflections to and fro."""
+        n, stokes, _ = self.d.shape
         # light trapped in a clear medium by total reflection would go on for ever; none gets there from outside
-        trapped = np.diag(self.d) > 1 - 1e-12
-        left = np.eye(len(self.w)) * (1 + 1e-12 * trapped) - self.d
+        trapped = np.einsum("nii->ni", self.d) > 1 - 1e-12
+        left = np.eye(stokes) * (1 + 1e-12 * trapped[:, :, None]) - self.d
         e = np.linalg.inv(left)
-        y = np.linalg.solve(left - self.k * self.w, self.k @ e)
+        whole = -self.k * self.w
+        diagonal = np.arange(n)
+        whole.reshape(n, stokes, n, stokes)[diagonal, :, diagonal, :] += left
+        y = np.linalg.solve(whole, _times(e.transpose(0, 2, 1), self.k.T).T)
         return Operator(e, y, self.w)
+
+    def from_below(self):
+        """The same seen from below, of a layer that is its own mirror image: U and V change sign."""
+        sign = np.array([1.0, 1.0, -1.0, -1.0])[: self.d.shape[1]]
+        signs = np.tile(sign, len(self.d))
+        return Operator(self.d * np.outer(sign, sign), self.k * np.outer(signs, signs), self.w)
+
+
+def _times(blocks, matrix):
+    """Block-diagonal times full."""
+    n, stokes, _ = blocks.shape
+    return (blocks @ matrix.reshape(n, stokes, -1)).reshape(n * stokes, -1)
 
 
 @dataclass
@@ -122,8 +140,8 @@ class Slab:
 
 
 def _diagonal(nodes, blocks):
-    d = block_diag(*(block[: nodes.stokes, : nodes.stokes] for block in blocks))
-    return Operator(d, np.zeros_like(d), nodes.weights)
+    size = len(nodes.weights)
+    return Operator(blocks[:, : nodes.stokes, : nodes.stokes], np.zeros((size, size)), nodes.weights)
 
 
 def _mueller(a_p, a_s):
@@ -222,18 +240,16 @@ def medium(nodes, n, tau, albedo, phase):
     e = 1.0 / (m + h)
     y = np.linalg.solve(np.diag(m + h) - h * kernel * w, h * kernel * e)
     k = h * e[:, None] * kernel + y * (m - h) + h * (y * w) @ kernel
-    d = np.diag(e * (m - h) * both)
     half = len(m) // 2
     down, up = slice(0, half), slice(half, None)
-
-    def part(to, source):
-        return Operator(d[to, source].copy(), k[to, source], nodes.weights)
-
-    # above, light comes in going down and leaves going up
-    layer = Slab(part(up, down), part(down, down), part(down, up), part(up, up))
+    straight = (e * (m - h) * both)[:half].reshape(-1, stokes, 1) * np.eye(stokes)
+    # above, light comes in going down and leaves going up; the layer is its own mirror image, and stays so
+    r = Operator(np.zeros_like(straight), k[up, down], nodes.weights)
+    t = Operator(straight, k[down, down], nodes.weights)
     for _ in range(doublings):
-        layer = layer.over(layer)
-    return layer
+        down_between = (r.from_below() @ r).resolvent() @ t
+        r, t = r + t.from_below() @ (r @ down_between), t @ down_between
+    return Slab(r, t, r.from_below(), t.from_below())
 
 
 def _cosines(nodes, n):
@@ -300,7 +316,7 @@ def albedo(operator, nodes, node):
 
 def mirrored(operator, node):
     """Share of unpolarised light that stays in its node: the delta term; mode 0."""
-    return operator.d[2 * node, 2 * node]
+    return operator.d[node, 0, 0]
 
 
 def brdf(kernels, out, source):

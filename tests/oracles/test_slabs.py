@@ -66,14 +66,16 @@ def test_absorbing_slab(seed):
 
 
 def test_units_of_a_medium(seed):
-    table = trace(slab(1.5, sigma_a=2e-4, units="nm") , 100_000, seed, theta_i_deg=[0])
+    table = trace(slab(1.5, sigma_a=2e-4, units="nm"), 100_000, seed, theta_i_deg=[0])
     # the thickness is 1 in the same units
     r, t = (x.mean() for x in fresnel.slab(1.0, 1.5, 2e-4))
     agrees_albedo(table, [r], 2e-3)
     agrees_albedo(table.parts["transmission"], [t], 2e-3)
 
 
-@pytest.mark.parametrize(("eta", "rho", "tau"), [(1.5, 0.5, 0.0), (1.5, 0.8, 0.0), (1.33, 0.6, 0.25), (2.2, 0.9, 0.1)])
+@pytest.mark.parametrize(
+    ("eta", "rho", "tau"), [(1.5, 0.5, 0.0), (1.5, 0.8, 0.0), (1.33, 0.6, 0.25), (2.2, 0.9, 0.1)]
+)
 def test_varnished_lambert(seed, eta, rho, tau):
     layers = [layer(FLAT, glass(eta), thickness=1.0, sigma_a=tau), layer(FLAT, lambert(rho))]
     table = trace(layers, 1_000_000, seed, theta_i_deg=ANGLES)
@@ -123,7 +125,11 @@ def test_equal_indices_do_nothing(seed):
     table = trace(slab(1.0), 20_000, seed, theta_i_deg=[0, 89])
     assert np.all(table.row_albedo == 0)
     assert table.parts["transmission"].specular == pytest.approx(1.0, abs=1e-12)
-    matched = [layer(FLAT, glass(1.5), thickness=1.0), layer(FLAT, glass(1.5), thickness=1.0), layer(FLAT, glass(1))]
+    matched = [
+        layer(FLAT, glass(1.5), thickness=1.0),
+        layer(FLAT, glass(1.5), thickness=1.0),
+        layer(FLAT, glass(1)),
+    ]
     table = trace(matched, 300_000, seed, theta_i_deg=ANGLES)
     agrees_albedo(table, [fresnel.slab(c, 1.5)[0].mean() for c in COSINES], 2e-3)
 
@@ -218,9 +224,7 @@ def test_film_limits(seed):
     bare = trace(layer(FLAT, {"kind": "conductor", "eta": 0.3, "k": 3.0}), 20_000, 1, theta_i_deg=ANGLES)
     over = {"kind": "conductor", "eta": 0.3, "k": 3.0}
     for films in ([(2.0, 0.5, 0.0)], [(0.3, 3.0, 40.0)], [(0.3, 3.0, 4e6)]):
-        table = trace(
-            layer(FLAT, coated(over, films)), 20_000, 1, theta_i_deg=ANGLES, wavelengths_nm=[550.0]
-        )
+        table = trace(layer(FLAT, coated(over, films)), 20_000, 1, theta_i_deg=ANGLES, wavelengths_nm=[550.0])
         assert table.row_albedo == pytest.approx(bare.row_albedo, rel=1e-6)
 
 
