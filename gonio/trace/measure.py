@@ -112,19 +112,19 @@ class Measurement:
         scene = self._scene(batch)
         paths_per_row = self.paths_per_batch // len(self._theta_i)
         coherent = paths_per_row * _COHERENT_FACETS >= scene.facets
-        cells, specular, reflected, ledger = self.tally.accumulators
+        cells, specular, energy, ledger = self.tally.accumulators
         rows, chunks = cells.shape[:2]
         packets = self._strata[0] * self._strata[1]
 
         def trace(unit: int) -> None:
             # neighbouring rows cost alike: deal them out, chunk by chunk
             chunk, row = divmod(unit, rows)
-            place = row, chunk
+            place = row, chunk, 0
             trace_unit(
                 scene.embree, scene.box, coherent, self._optics.eta_k, self._optics.albedo, row,
                 self._sin2[0][row], self._sin2[1][row], self._theta_axis, self._phi_axis, *self._strata,
                 chunk * packets // chunks, (chunk + 1) * packets // chunks, self.seed, batch, MAX_BOUNCES,
-                cells[place], specular[place], reflected[place], ledger[place],
+                cells[place], specular[place], energy[place], ledger[row, chunk],
             )  # fmt: skip
 
         tracing = time.perf_counter()
@@ -147,10 +147,11 @@ class Measurement:
         self._check_lost(LOST_LIMIT)
         grid = self.specimen.grid
         omega = projected_solid_angles(self._theta_edges, self._phi_edges)
-        values, std_error = self.tally.cells(omega.ravel())
+        reflected = self.tally.totals[0]
+        values, std_error = reflected.cells(omega.ravel())
         shape = (len(self._theta_i), *omega.shape)
-        albedo, albedo_error, specular, specular_error = self.tally.rows()
-        hits = self.tally.hits.reshape(shape)
+        albedo, albedo_error, specular, specular_error = reflected.rows()
+        hits = reflected.hits.reshape(shape)
         values = values.reshape(*shape, -1)
         std_error = std_error.reshape(*shape, -1)
         table = Table(
