@@ -16,7 +16,7 @@ from renderer.scene import Array
 Triangles = tuple[Array, NDArray[np.int64]]
 """Vertices (V, 3) and faces (F, 3)."""
 
-_FEATURES = 6.0  # hills (or grooves, or pits) seen side by side, about
+_HILLS = 6.0  # seen side by side, about
 _MAX_SAMPLES = 1000  # of a height field, per side: more than the picture has pixels
 # The sides are cut this far inside: on the very face of a tile, edges of triangles would lie in the cut.
 _INSIDE = 1e-6
@@ -48,13 +48,17 @@ class Block:
     unit: float
 
 
-def cut_block(tile: Tile) -> Block:
+def cut_block(tile: Tile, size: tuple[float, float] | None = None) -> Block:
     """Cut a block out of a tile's surface that shows what kind of surface it is.
 
-    It is some six hills wide: whole periods, or a part of one if a period holds more.
+    Parameters
+    ----------
+    tile : Tile
+    size : tuple of float, optional
+        Widths along x and y, metres. By default some six hills: whole periods, or a part of one if a
+        period holds more.
     """
-    wanted = _FEATURES * min(_hill(tile), *tile.size)
-    metres = [_width(period, wanted) for period in tile.size]
+    metres = size or typical_size(tile)
     unit = max(metres)
     size = (metres[0] / unit, metres[1] / unit)
     if isinstance(tile, HeightField):
@@ -68,18 +72,23 @@ def cut_block(tile: Tile) -> Block:
     return Block(tops, _joined(sides), size, base, high, unit)
 
 
-def _hill(tile: Tile) -> float:
-    """Distance from hill to hill, metres, judged by height over slope (exact for V-grooves); 0 if flat."""
+def typical_size(tile: Tile) -> tuple[float, float]:
+    """Widths of a block with some six hills (grooves, pits) to a side, metres.
+
+    How far it is from hill to hill is judged by height over slope, exact for V-grooves.
+    """
     normals, areas = tile.facets()
-    slope = np.sum(areas * np.hypot(normals[:, 0], normals[:, 1])) / np.sum(areas * np.abs(normals[:, 2]))
-    return math.sqrt(48.0) * tile.statistics().rms_height / float(slope) if slope > 0 else 0.0
+    slope = float(np.sum(areas * np.hypot(normals[:, 0], normals[:, 1]))) / (tile.size[0] * tile.size[1])
+    if not slope > 0:
+        return tile.size
+    hill = math.sqrt(48.0) * tile.statistics().rms_height / slope
+    wanted = _HILLS * min(hill, *tile.size)
+    return _width(tile.size[0], wanted), _width(tile.size[1], wanted)
 
 
 def _width(period: float, wanted: float) -> float:
     """Whole periods near the width wanted, or the width itself if a period is much wider."""
-    if 0 < wanted < 0.75 * period:
-        return wanted
-    return period * max(1, round(wanted / period))
+    return wanted if wanted < 0.75 * period else period * max(1, round(wanted / period))
 
 
 def _grid(tile: HeightField, size: tuple[float, float], unit: float) -> Triangles:

@@ -1,9 +1,9 @@
-"""Pictures of a specimen's surfaces, rendered from the very triangles that are measured."""
+"""Pictures of a specimen's surfaces: a block of each, rendered from the triangles that are measured."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,67 +13,112 @@ from renderer.image import Image
 from renderer.render import render
 from renderer.scene import Array, Camera, DirectionalLight, Environment, Material, Mesh, Scene, look_at
 
-_WIDTH, _HEIGHT, _SPP = 560, 400, 16
-_SUN, _SKY = np.array([0.85, 0.82, 0.77]), np.array([0.36, 0.38, 0.42])
-_CLAY, _PLANE, _CUT, _GROUND = (0.74, 0.66, 0.56), (0.45, 0.55, 0.62), (0.30, 0.23, 0.19), (0.80, 0.80, 0.80)
+_WIDTH, _HEIGHT = 480, 360
+_SUN_SPP, _SKY_SPP = 12, 32
+_MARGIN = 0.86  # of the picture's half width, up to which the block reaches
 _FOV_DEG = 16.0
-# The camera sees the cut y = 0, where grooves show their profile, and the far end of x; the sun stands at
-# the upper left of the picture, as on maps.
-_CAMERA_AZIMUTH, _CAMERA_ELEVATION = math.radians(-62.0), math.radians(33.0)
-_SUN_AZIMUTH = math.radians(172.0)
+# Radiance of a white surface that lies flat: under the sun, under the sky.
+_SUN, _SKY = np.array([0.66, 0.64, 0.60]), np.array([0.37, 0.39, 0.43])
+_CLAY, _PLANE = (0.64, 0.56, 0.47), (0.36, 0.46, 0.53)
+_CUT, _GROUND = (0.36, 0.27, 0.22), (1.0, 1.0, 1.0)
+# The camera sees the cut at y = 0, where grooves along y show their profile, and the one at the far end
+# of x. The sun stands at the upper left of the picture, as on maps: it reaches neither cut, however low.
+_CAMERA_AZIMUTH, _CAMERA_ELEVATION = math.radians(-73.0), math.radians(33.0)
+_SUN_AZIMUTH = math.radians(165.0)
+_SUN_LOWEST_DEG, SUN_HIGHEST_DEG = 1.0, 40.0
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture of a block of surface.
+
+    Attributes
+    ----------
+    image : Image
+        White is radiance 1.
+    block : Block
+    sun_deg : float
+        Elevation of the sun, degrees.
+    edges : ndarray, shape (2, 2, 2)
+        Where the lower front edges are in the image, pixels (x, y) of both ends: along x, along y.
+    """
+
+    image: Image
+    block: Block
+    sun_deg: float
+    edges: Array
+
+
+def surface_picture(
+    tile: Tile, size: tuple[float, float] | None = None, two_materials: bool = False
+) -> Picture:
+    """Render a block of a surface in light clay, at its true vertical scale.
+
+    The sun stands as low as shallow relief needs to be seen.
+
+    Parameters
+    ----------
+    tile : Tile
+    size : tuple of float, optional
+        Widths of the block, metres; by default what shows some six hills.
+    two_materials : bool
+        Show facets of label 1, the plane of pits and bosses, in another colour.
+    """
+    block = cut_block(tile, size)
+    alpha = tile.statistics().alpha
+    sun_deg = SUN_HIGHEST_DEG
+    if alpha > 0:
+        sun_deg = min(max(math.degrees(math.atan(2.0 * alpha)), _SUN_LOWEST_DEG), SUN_HIGHEST_DEG)
+    camera = _camera(block)
+    scene = Scene(camera, _shapes(block, two_materials), max_depth=4)
+    # Apart, because together a path would have to choose which to look at: the sun's light is without
+    # noise, and the sky's where nothing stands before it.
+    sun = _toward(_SUN_AZIMUTH, math.radians(sun_deg))
+    light = DirectionalLight(tuple(-sun), tuple(math.pi * _SUN / sun[2]))
+    sunlit = render(replace(scene, lights=(light,)), spp=_SUN_SPP)
+    sky = Environment(_SKY[None, None])
+    skylit = render(replace(scene, environment=sky), spp=_SKY_SPP, seed=1, strategy="material")
+    image = Image(sunlit.pixels + skylit.pixels, np.hypot(sunlit.std_error, skylit.std_error))
+    width, depth = block.size
+    edges = np.array(
+        [[[0, 0, block.base], [width, 0, block.base]], [[width, 0, block.base], [width, depth, block.base]]]
+    )
+    return Picture(image, block, sun_deg, _project(camera, edges))
 
 
 def _toward(azimuth: float, elevation: float) -> Array:
-    return np.array(
-        [
-            math.cos(elevation) * math.cos(azimuth),
-            math.cos(elevation) * math.sin(azimuth),
-            math.sin(elevation),
-        ]
-    )
+    flat = math.cos(elevation)
+    return np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
 
 
-
-def block_scenes(block: Block, sun_elevation: float, width: int = _WIDTH, height: int = _HEIGHT) -> tuple[Scene, Scene]:
+def _shapes(block: Block, two_materials: bool) -> tuple[Mesh, ...]:
     def mesh(triangles: Triangles, colour: tuple[float, float, float]) -> Mesh:
         return Mesh(*triangles, material=Material("diffuse", {"reflectance": colour}, two_sided=True))
 
-    far = 1e3 * (1 + block.top - block.base)
-    ground = (
-        np.array([[-far, -far, block.base], [far, -far, block.base], [far, far, block.base], [-far, far, block.base]]),
-        np.array([[0, 1, 2], [0, 2, 3]]),
-    )
-    shapes = [mesh(top, (_CLAY, _PLANE)[label]) for label, top in block.tops.items()]
-    shapes += [mesh(block.sides, _CUT), mesh(ground, _GROUND)]
-    sun = _toward(_SUN_AZIMUTH, sun_elevation)
-    irradiance = np.pi * _SUN / sun[2]
-    scene = Scene(_camera(block, width, height), tuple(shapes), max_depth=4)
-    return (
-        replace(scene, lights=(DirectionalLight(tuple(-sun), tuple(irradiance)),)),
-        replace(scene, environment=Environment(_SKY.reshape(1, 1, 3))),
-    )
+    far = 30.0 * (1.0 + block.top - block.base)
+    square = np.array([[-far, -far, 0.0], [far, -far, 0.0], [far, far, 0.0], [-far, far, 0.0]])
+    ground = square + [0.0, 0.0, block.base], np.array([[0, 1, 2], [0, 2, 3]])
+    colours = _CLAY, _PLANE if two_materials else _CLAY
+    tops = [mesh(top, colours[label]) for label, top in block.tops.items()]
+    return (*tops, mesh(block.sides, _CUT), mesh(ground, _GROUND))
 
 
-def _camera(block: Block, width: int, height: int) -> Camera:
-    """From afar, so near that the block just fills the picture."""
+def _camera(block: Block) -> Camera:
+    """From afar in a fixed direction, so near that the block just fills the picture."""
     toward = _toward(_CAMERA_AZIMUTH, _CAMERA_ELEVATION)
-    middle = np.array([block.size[0] / 2, block.size[1] / 2, (block.base + block.top) / 2])
     corners = np.array(
         [[x, y, z] for x in (0, block.size[0]) for y in (0, block.size[1]) for z in (block.base, block.top)]
     )
-    frame = look_at(middle + toward, middle, (0, 0, 1))
-    local = (corners - middle) @ frame[:3, :3]
-    tangent = 0.94 * math.tan(math.radians(_FOV_DEG) / 2)
-    tangents = np.array([tangent, tangent * height / width])
-    distance = float(np.max(np.abs(local[:, :2]) / tangents - local[:, 2:]))
-    return Camera(look_at(middle + distance * toward, middle, (0, 0, 1)), _FOV_DEG, width=width, height=height)
+    middle = corners.mean(axis=0)
+    camera = Camera(look_at(middle + toward, middle, (0, 0, 1)), _FOV_DEG, width=_WIDTH, height=_HEIGHT)
+    local = (corners - middle) @ camera.to_world[:3, :3]
+    reach = np.abs(local[:, :2]) / (_MARGIN * np.array(camera.tangents()))
+    distance = float(np.max(reach - local[:, 2:]))
+    return replace(camera, to_world=look_at(middle + distance * toward, middle, (0, 0, 1)))
 
 
-def surface_picture(tile: Tile) -> Image:
-    block = cut_block(tile)
-    alpha = tile.statistics().alpha
-    elevation = float(np.clip(math.atan(2.0 * alpha), math.radians(3.0), math.radians(40.0)))
-    sun, sky = block_scenes(block, elevation)
-    a = render(sun, spp=_SPP)
-    b = render(sky, spp=_SPP, strategy="material", seed=1)
-    return Image(a.pixels + b.pixels, np.hypot(a.std_error, b.std_error), {"seconds": (a.provenance["seconds"], b.provenance["seconds"])})
+def _project(camera: Camera, points: Array) -> Array:
+    """Pixels (x, y) where points (..., 3) are seen."""
+    local = (points - camera.to_world[:3, 3]) @ camera.to_world[:3, :3]
+    offset = local[..., :2] / (local[..., 2:] * np.array(camera.tangents()))
+    return 0.5 * (1.0 - offset) * [camera.width, camera.height]
