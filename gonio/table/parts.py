@@ -7,6 +7,7 @@ transmission has such parts of its own. A part of a part is written transmission
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -32,9 +33,13 @@ def order_names(orders: int) -> tuple[str, ...]:
 
 
 def orders_of(table: Table) -> dict[str, Table]:
-    """The table's parts by number of bounces, in that order; they add up to it. Empty where there are none."""
-    names = order_names(sum(name != TRANSMISSION for name in table.parts))
-    return {name: table.parts[name] for name in names if name in table.parts}
+    """The table's parts by number of bounces, in that order; empty where there is no full set of them."""
+    for name in table.parts:
+        if last := re.fullmatch(r"L(\d{1,4})\+", name):
+            names = order_names(int(last[1]))
+            if all(n in table.parts for n in names):
+                return {n: table.parts[n] for n in names}
+    return {}
 
 
 def walk(table: Table, path: str = "") -> Iterator[tuple[str, Table]]:
@@ -68,5 +73,9 @@ def extract(table: Table, path: str) -> Table:
         known = ", ".join(parts) or "none"
         raise InputError(f"part: the table has no {path!r}; its parts are: {known}")
     before = table.provenance.get("part")
-    provenance = {**table.provenance, "part": f"{before}/{path}" if before else path}
+    provenance = {
+        **table.provenance,
+        **parts[path].provenance,
+        "part": f"{before}/{path}" if before else path,
+    }
     return parts[path].replace(ledger=table.ledger, provenance=provenance)
