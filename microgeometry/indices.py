@@ -13,19 +13,43 @@ from microgeometry.errors import InputError
 from microgeometry.keys import suggest
 
 PAGES = {
-    # Evaporated films in vacuum, the most cited data of the noble metals: Johnson and Christy 1972,
-    # Phys. Rev. B 6, 4370; 188 to 1937 nm.
+    # Noble metals, evaporated films: Johnson and Christy 1972, Phys. Rev. B 6, 4370; 188 to 1937 nm.
     "Ag": "main/Ag/Johnson",
     "Au": "main/Au/Johnson",
     "Cu": "main/Cu/Johnson",
-    # Rakic 1995, Appl. Opt. 34, 4755: bare, unoxidised aluminium from many data sets made consistent by
-    # Kramers-Kronig; 0.12 nm to 200 um.
+    # Bare, unoxidised aluminium, many data sets made consistent by Kramers-Kronig: Rakic 1995, Appl. Opt.
+    # 34, 4755; 0.12 nm to 200 um.
     "Al": "main/Al/Rakic",
-    # Johnson and Christy 1974, Phys. Rev. B 9, 5056; 188 to 1937 nm.
+    # Transition metals: Johnson and Christy 1974, Phys. Rev. B 9, 5056; 188 to 1937 nm.
     "Cr": "main/Cr/Johnson",
     "Fe": "main/Fe/Johnson",
     "Ni": "main/Ni/Johnson",
     "Ti": "main/Ti/Johnson",
+    # Fits to many data sets: Rakic et al. 1998, Appl. Opt. 37, 5271; 248 to 12398 nm.
+    "Pt": "main/Pt/Rakic-BB",
+    "W": "main/W/Rakic-BB",
+    # Semiconductors: Aspnes and Studna 1983, Phys. Rev. B 27, 985; 207 to 827 nm. Green 2008, Sol. Energy
+    # Mater. Sol. Cells 92, 1305; 250 to 1450 nm.
+    "Ge": "main/Ge/Aspnes",
+    "Si": "main/Si/Green-2008",
+    # Glass: SCHOTT's data sheet of N-BK7; 300 to 2500 nm. Fused silica: Malitson 1965, J. Opt. Soc. Am. 55,
+    # 1205; 210 to 6700 nm.
+    "BK7": "specs/SCHOTT-optical/N-BK7",
+    "SiO2": "main/SiO2/Malitson",
+    # Water at 20 degrees C: Daimon and Masumura 2007, Appl. Opt. 46, 3811; 182 to 1129 nm.
+    "H2O": "main/H2O/Daimon-20.0C",
+    # Sapphire, ordinary ray: Malitson and Dodge 1972, J. Opt. Soc. Am. 62, 1405; 200 to 5000 nm.
+    "Al2O3": "main/Al2O3/Malitson-o",
+    "CaF2": "main/CaF2/Malitson",  # Malitson 1963, Appl. Opt. 2, 1103; 230 to 9700 nm
+    # Ordinary ray: Dodge 1984, Appl. Opt. 23, 1980; 200 to 7000 nm.
+    "MgF2": "main/MgF2/Dodge-o",
+    "NaCl": "main/NaCl/Li",  # Li 1976, J. Phys. Chem. Ref. Data 5, 329; 200 nm to 30 um
+    "Si3N4": "main/Si3N4/Philipp",  # Philipp 1973, J. Electrochem. Soc. 120, 295; 207 to 1240 nm
+    # Anatase, a film; in the visible it is clear, as rutile and amorphous films at 400 nm are not: Jolivet et
+    # al. 2023, Appl. Surf. Sci. 608, 155214; 207 to 827 nm.
+    "TiO2": "main/TiO2/Jolivet-anatase",
+    "ZnS": "main/ZnS/Debenham",  # cubic: Debenham 1984, Appl. Opt. 23, 2238; 405 nm to 13 um
+    "diamond": "main/C/Peter",  # Peter 1923, Z. Phys. 15, 358; 226 to 760 nm
 }
 """Page of the database that a plain name stands for."""
 
@@ -38,7 +62,7 @@ def refractive_index(name: str, wavelengths_nm: ArrayLike) -> tuple[NDArray[np.f
     Parameters
     ----------
     name : str
-        An element of `PAGES`, or "shelf/book/page" of refractiveindex.info.
+        One of `PAGES`, or "shelf/book/page" of refractiveindex.info.
     wavelengths_nm : array_like
         Vacuum wavelengths, nanometres.
 

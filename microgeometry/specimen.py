@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -140,6 +141,7 @@ def _build(mapping: Mapping[str, Any], folder: Path, text: str | None, name: str
     tables = _layer_tables(top)
     grid = Grid.from_keys(Keys(mapping.get("grid", {}), "grid"), _optics(tables))
     layers = tuple(_layer(keys, grid, folder) for keys in tables)
+    _check_stack(tables, layers, grid)
     return Specimen(
         layers=layers,
         grid=grid,
@@ -172,6 +174,10 @@ def _layer(keys: Keys, grid: Grid, folder: Path) -> Layer:
     surface_type = SURFACES[surface.choice("kind", None, SURFACES)]
     plane = None
     if "plane" in surface:
+        if surface_type.kind not in WITH_PLANE:
+            raise surface.error(
+                "plane", f"only {' and '.join(WITH_PLANE)} have a flat part of its own material; leave it out"
+            )
         plane = read_material(surface.subtable("plane"), grid, folder)
         surface = Keys({k: v for k, v in surface.table.items() if k != "plane"}, surface.where)
     return Layer(
@@ -180,6 +186,61 @@ def _layer(keys: Keys, grid: Grid, folder: Path) -> Layer:
         Medium.from_keys(keys.subtable("medium"), grid, folder) if "medium" in keys else None,
         plane,
     )
+
+
+def _check_stack(tables: tuple[Keys, ...], layers: tuple[Layer, ...], grid: Grid) -> None:
+    """Refuse a stack in which light has nowhere to go, or never gets to what lies below."""
+    above = (1.0,) * grid.n_samples
+    for number, (keys, layer) in enumerate(zip(tables, layers, strict=True), 1):
+        material, medium, plane = layer.material, layer.medium, layer.plane
+        last = number == len(layers)
+        if plane is not None and (
+            plane.transmits != material.transmits
+            or (plane.transmits and plane.index_below(above) != material.index_below(above))
+        ):
+            raise keys.subtable("surface").error(
+                "plane", "must be opaque if the material is, and else have the same index below it"
+            )
+        if material.transmits:
+            above = material.index_below(above)
+            if last:
+                _check_last(keys, medium)
+            else:
+                _check_inner(keys, medium)
+        elif medium is not None:
+            raise keys.error("medium", f"{material.kind} is opaque and hides what is below it; leave it out")
+        elif not last:
+            raise keys.error(
+                "material",
+                "opaque, it hides the layers below; remove them, or take a dielectric, none, or coated over a "
+                "dielectric",
+            )
+
+
+def _check_inner(keys: Keys, medium: Medium | None) -> None:
+    if medium is None:
+        raise keys.error(
+            "medium", "missing; add medium = {thickness = ...}, the space down to the next layer"
+        )
+    if medium.thickness == inf:
+        raise keys.error("medium", "thickness = inf leaves no room for the next layer; give a number")
+
+
+def _check_last(keys: Keys, medium: Medium | None) -> None:
+    if medium is None:
+        return
+    if medium.thickness < inf:
+        raise keys.error(
+            "medium",
+            "of the last layer, so its thickness must be inf; or add what lies below it as a further [[layer]], for "
+            'air with material = {kind = "dielectric", eta = 1}',
+        )
+    if min(a + s for a, s in zip(medium.sigma_a, medium.sigma_s, strict=True)) == 0:
+        raise keys.error(
+            "medium",
+            "without end, and neither absorbs nor scatters (at some wavelength); give sigma_a or sigma_s, or leave "
+            "the medium out: what lies below is then clear",
+        )
 
 
 def _optics(layers: Iterable[Keys]) -> Iterator[Mapping[str, Any]]:

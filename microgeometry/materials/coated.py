@@ -39,7 +39,7 @@ class Film:
     def from_keys(cls, keys: Keys, grid: Grid, folder: Path) -> Film:
         """Build from one table of ``films``."""
         keys.allow("name", "file", "eta", "k", "thickness_nm")
-        eta, k, name = optical_constants(keys, grid, folder, k_if_absent=0.0)
+        eta, k, name = optical_constants(keys, grid, folder, k_required=False)
         return cls(eta, k, 1e-9 * keys.number("thickness_nm", at_least=0), name)
 
 

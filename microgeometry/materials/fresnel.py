@@ -47,7 +47,7 @@ class Conductor(Opaque):
     def from_keys(cls, keys: Keys, grid: Grid, folder: Path) -> Conductor:
         """Build from the [material] table."""
         keys.allow("kind", "name", "file", "eta", "k")
-        return cls(*optical_constants(keys, grid, folder, k_if_absent=None))
+        return cls(*optical_constants(keys, grid, folder, k_required=True))
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Dielectric:
                 'a dielectric is clear; use kind = "conductor", or give its medium sigma_a = 4 pi k / lambda',
             )
         keys.allow("kind", "name", "file", "eta")
-        eta, k, name = optical_constants(keys, grid, folder, k_if_absent=0.0)
+        eta, k, name = optical_constants(keys, grid, folder, k_required=False)
         if max(k) > MAX_CLEAR_K:
             assert grid.samples_nm is not None
             worst = k.index(max(k))

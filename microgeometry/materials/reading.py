@@ -14,12 +14,10 @@ def per_sample(keys: Keys, key: str, values: tuple[float, ...], grid: Grid) -> t
     if len(values) == 1:
         return values * grid.n_samples
     if grid.to_channels is not None:
-        assert grid.samples_nm is not None
         raise keys.error(
             key,
-            f"{len(values)} values, where a spectrum at {grid.n_samples} wavelengths is traced; give one "
-            "number, or a spectrum (name or file) where the key allows one, or no spectra at all "
-            "with three numbers each, or wavelengths_nm under [grid]",
+            f"{len(values)} values, where colours come from spectra at {grid.n_samples} wavelengths; give one "
+            "number, or give no material by name, from a file or with films, or set wavelengths_nm under [grid]",
         )
     if len(values) != grid.n_samples:
         raise keys.error(
@@ -40,7 +38,7 @@ def wavelengths(keys: Keys, key: str, grid: Grid, what: str) -> tuple[float, ...
 
 
 def optical_constants(
-    keys: Keys, grid: Grid, folder: Path, k_if_absent: float | None
+    keys: Keys, grid: Grid, folder: Path, k_required: bool
 ) -> tuple[tuple[float, ...], tuple[float, ...], str | None]:
     """Read n and k from ``name``, from ``file``, or from ``eta`` and ``k``.
 
@@ -51,8 +49,8 @@ def optical_constants(
     grid : Grid
     folder : Path
         What ``file`` is relative to.
-    k_if_absent : float or None
-        k where only ``eta`` or a file without that column is given; None: it must be given.
+    k_required : bool
+        Else k is 0 where only ``eta`` or a file without that column is given.
 
     Returns
     -------
@@ -63,7 +61,7 @@ def optical_constants(
     """
     given = [key for key in ("name", "file", "eta", "k") if key in keys]
     if not given:
-        and_k = " and k = ..." if k_if_absent is None else ""
+        and_k = " and k = ..." if k_required else ""
         raise keys.error(
             "name",
             f'missing; add name = "..." (see microgeometry.indices), eta = ...{and_k}, or file = "..."',
@@ -78,15 +76,11 @@ def optical_constants(
     if source == "file":
         file = keys.file("file", folder)
         nm = wavelengths(keys, "file", grid, "a material from a file")
-        n, table_k = tabulated_index(file, nm)
-        if table_k is None and k_if_absent is None:
-            raise keys.error("file", "has no column k; a conductor needs one")
-        return (
-            tuple(n.tolist()),
-            (k_if_absent or 0.0,) * len(nm) if table_k is None else tuple(table_k.tolist()),
-            None,
-        )
+        n, k_or_none = tabulated_index(file, nm)
+        if k_or_none is None and k_required:
+            raise keys.error("file", "has no column k, which a conductor needs; add it")
+        return tuple(n.tolist()), (0.0,) * len(nm) if k_or_none is None else tuple(k_or_none.tolist()), None
     eta = per_sample(keys, "eta", keys.numbers("eta", above=0), grid)
-    if "k" not in keys and k_if_absent is not None:
-        return eta, (k_if_absent,) * grid.n_samples, None
+    if "k" not in keys and not k_required:
+        return eta, (0.0,) * grid.n_samples, None
     return eta, per_sample(keys, "k", keys.numbers("k", at_least=0), grid), None
