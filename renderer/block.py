@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,7 +122,8 @@ def _copies(tile: TriangleMesh, size: tuple[float, float], unit: float) -> dict[
     tops = {}
     for label in np.unique(labels).tolist():
         faces = tile.faces[labels == label]
-        copies = [_clipped(vertices + (dx, dy, 0.0), faces, size) for dx in shifts[0] for dy in shifts[1]]
+        offsets = [np.array([dx, dy, 0.0]) for dx in shifts[0] for dy in shifts[1]]
+        copies = [_clipped(vertices + offset, faces, size) for offset in offsets]
         tops[label] = _joined([copy for copy in copies if len(copy[1])])
     return {label: top for label, top in tops.items() if len(top[1])}
 
@@ -143,7 +144,7 @@ def _joined(parts: Sequence[Triangles]) -> Triangles:
     return np.concatenate([none[0], *(v for v, _ in parts)]), np.concatenate([none[1], *faces])
 
 
-def _side(tops: Sequence[Triangles], axis: int, at: float, base: float) -> Triangles:
+def _side(tops: Iterable[Triangles], axis: int, at: float, base: float) -> Triangles:
     """The solid part of the plane where coordinate `axis` is `at`, 0 or the far end.
 
     Solid is what lies below a facet that faces up and above the next that faces down, or the base. The cut
@@ -175,8 +176,9 @@ def _side(tops: Sequence[Triangles], axis: int, at: float, base: float) -> Trian
     ).transpose(2, 1, 0)  # (N, 4, 2)
     vertices = np.empty((*corners.shape[:2], 3))
     vertices[..., axis], vertices[..., 1 - axis], vertices[..., 2] = at, corners[..., 0], corners[..., 1]
-    quads = 4 * np.arange(len(corners))[:, None]
-    return vertices.reshape(-1, 3), np.concatenate([quads + [0, 1, 2], quads + [0, 2, 3]])
+    halves = np.array([[0, 1, 2], [0, 2, 3]])
+    faces = 4 * np.arange(len(corners))[:, None, None] + halves
+    return vertices.reshape(-1, 3), faces.reshape(-1, 3)
 
 
 def _segments(vertices: Array, faces: NDArray, axis: int, at: float) -> tuple[Array, NDArray]:

@@ -25,7 +25,7 @@ _CUT, _GROUND = (0.36, 0.27, 0.22), (1.0, 1.0, 1.0)
 # of x. The sun stands at the upper left of the picture, as on maps: it reaches neither cut, however low.
 _CAMERA_AZIMUTH, _CAMERA_ELEVATION = math.radians(-73.0), math.radians(33.0)
 _SUN_AZIMUTH = math.radians(165.0)
-_SUN_LOWEST_DEG, SUN_HIGHEST_DEG = 1.0, 40.0
+_SUN_LOWEST_DEG, _SUN_HIGHEST_DEG = 1.0, 40.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +66,9 @@ def surface_picture(
     """
     block = cut_block(tile, size)
     alpha = tile.statistics().alpha
-    sun_deg = SUN_HIGHEST_DEG
+    sun_deg = _SUN_HIGHEST_DEG
     if alpha > 0:
-        sun_deg = min(max(math.degrees(math.atan(2.0 * alpha)), _SUN_LOWEST_DEG), SUN_HIGHEST_DEG)
+        sun_deg = min(max(math.degrees(math.atan(2.0 * alpha)), _SUN_LOWEST_DEG), _SUN_HIGHEST_DEG)
     camera = _camera(block)
     scene = Scene(camera, _shapes(block, two_materials), max_depth=4)
     # Apart, because together a path would have to choose which to look at: the sun's light is without
@@ -96,8 +96,9 @@ def _shapes(block: Block, two_materials: bool) -> tuple[Mesh, ...]:
         return Mesh(*triangles, material=Material("diffuse", {"reflectance": colour}, two_sided=True))
 
     far = 30.0 * (1.0 + block.top - block.base)
-    square = np.array([[-far, -far, 0.0], [far, -far, 0.0], [far, far, 0.0], [-far, far, 0.0]])
-    ground = square + [0.0, 0.0, block.base], np.array([[0, 1, 2], [0, 2, 3]])
+    z = block.base
+    square = np.array([[-far, -far, z], [far, -far, z], [far, far, z], [-far, far, z]])
+    ground = square, np.array([[0, 1, 2], [0, 2, 3]])
     colours = _CLAY, _PLANE if two_materials else _CLAY
     tops = [mesh(top, colours[label]) for label, top in block.tops.items()]
     return (*tops, mesh(block.sides, _CUT), mesh(ground, _GROUND))

@@ -32,7 +32,7 @@ from microgeometry.surfaces.mesh import Mesh
 from microgeometry.tile import Tile
 from renderer.image import tone_map
 from renderer.page import image_html
-from renderer.specimen_picture import SUN_HIGHEST_DEG, Picture, surface_picture
+from renderer.specimen_picture import Picture, surface_picture
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -40,6 +40,7 @@ else:
     import tomli as tomllib
 
 _DPI = 100
+_LOW_SUN_DEG = 20.0  # below which the light needs a word
 
 
 def specimen_html(text: str, folder: Path) -> str:
@@ -67,16 +68,15 @@ def _figure_html(layers: Sequence[Layer], number: int, tile: Tile) -> str:
     title += f"{layer.surface.kind.replace('_', ' ')}, {describe_material(layer.material)}"
     picture = surface_picture(tile, _size(layer, tile), layer.plane is not None)
     sentences = [_extent(layer, tile, picture), _relief(layer, tile)]
-    if picture.sun_deg < SUN_HIGHEST_DEG:
+    if picture.sun_deg < _LOW_SUN_DEG:
         sentences.append(f"The sun stands {picture.sun_deg:.2g}° high, for the relief to be seen.")
     if layer.plane is not None:
         sentences.append(f"Blue is the flat part: {describe_material(layer.plane)}.")
     below = describe_below(layer)
-    if below:
-        sentences.insert(0, f"Below it {below}.")
-    caption = html.escape(" ".join(sentences))
+    heading = f"<b>{html.escape(title)}</b>" + (f"<br>below it {html.escape(below)}" if below else "")
     image = image_html(_annotated(picture), f"Picture of the surface: {title}")
-    return f"<figure><b>{html.escape(title)}</b>{image}<figcaption>{caption}</figcaption></figure>"
+    caption = html.escape(" ".join(filter(None, sentences)))
+    return f"<figure>{heading}{image}<figcaption>{caption}</figcaption></figure>"
 
 
 def _size(layer: Layer, tile: Tile) -> tuple[float, float] | None:
@@ -105,6 +105,8 @@ def _extent(layer: Layer, tile: Tile, picture: Picture) -> str:
 
 def _relief(layer: Layer, tile: Tile) -> str:
     facts = tile.statistics()
+    if facts.peak_to_valley == 0:
+        return ""
     which = "of this realisation" if layer.surface.is_random else "measured"
     return (
         f"Alpha {which} {facts.alpha:.4g}, rms height {length(facts.rms_height)}, "
@@ -124,9 +126,12 @@ def _annotated(picture: Picture) -> bytes:
         along = (last - first) / np.linalg.norm(last - first)
         outward = np.array([-along[1], along[0]])  # below the edge: y counts down
         a, b = first + 7 * outward, last + 7 * outward
-        panel.annotate("", a, b, arrowprops={"arrowstyle": "|-|", "mutation_scale": 2.5, "lw": 0.8, "color": "0.25"})
+        panel.annotate(
+            "", a, b, arrowprops={"arrowstyle": "|-|", "mutation_scale": 2.5, "lw": 0.8, "color": "0.25"}
+        )
+        x, y = (0.5 * (a + b) + 9 * outward).tolist()
         panel.text(
-            *(0.5 * (a + b) + 9 * outward), length(picture.block.size[axis] * picture.block.unit),
+            x, y, length(picture.block.size[axis] * picture.block.unit),
             rotation=math.degrees(math.atan2(-along[1], along[0])), ha="center", va="center", fontsize=9, color="0.15",
         )  # fmt: skip
     buffer = io.BytesIO()
@@ -135,11 +140,10 @@ def _annotated(picture: Picture) -> bytes:
 
 
 def length(metres: float) -> str:
-    """A length in the unit that suits it: "2.46 um"."""
-    for unit, scale in (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6), ("nm", 1e-9)):
-        if abs(metres) >= 0.9995 * scale:
-            break
-    return f"{metres / scale:.3g} {unit}" if metres else "0"
+    """A length in the unit that suits it: "2.46 µm"."""
+    units = {"m": 1.0, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9}
+    unit = next((unit for unit, scale in units.items() if abs(metres) >= 0.9995 * scale), "nm")
+    return f"{metres / units[unit]:.3g} {unit}" if metres else "0"
 
 
 def _area(sizes: Sequence[float]) -> str:
@@ -158,9 +162,9 @@ def describe_material(material: Material) -> str:
         case Lambert():
             return f"Lambertian of albedo {_values(material.albedo)}"
         case Conductor():
-            return f"conductor {material.name or f'n {_values(material.eta)}, k {_values(material.k)}'}"
+            return f"conductor {material.name or _index(material.eta, material.k)}"
         case Dielectric():
-            return f"dielectric {material.name or f'n {_values(material.eta)}'}"
+            return f"dielectric {material.name or _index(material.eta, (0.0,))}"
         case Coated():
             return f"{', '.join(map(_film, material.films))} on {describe_material(material.over)}"
         case TableMaterial():
@@ -169,7 +173,11 @@ def describe_material(material: Material) -> str:
 
 
 def _film(film: Film) -> str:
-    return f"{length(film.thickness)} of {film.name or f'n {_values(film.eta)}, k {_values(film.k)}'}"
+    return f"{length(film.thickness)} of {film.name or _index(film.eta, film.k)}"
+
+
+def _index(eta: Sequence[float], k: Sequence[float]) -> str:
+    return f"n {_values(eta)}" + (f", k {_values(k)}" if max(k) > 0 else "")
 
 
 def describe_below(layer: Layer) -> str:
@@ -202,10 +210,9 @@ def _phase(medium: Medium) -> str:
 
 
 def _per_length(sigma: Sequence[float]) -> str:
-    for unit, scale in (("µm", 1e6), ("mm", 1e3), ("m", 1.0)):
-        if max(sigma) >= 0.0995 * scale:
-            break
-    return f"{_values([s / scale for s in sigma])} per {unit}"
+    units = {"µm": 1e6, "mm": 1e3, "m": 1.0}
+    unit = next((unit for unit, scale in units.items() if max(sigma) >= 0.0995 * scale), "m")
+    return f"{_values([s / units[unit] for s in sigma])} per {unit}"
 
 
 def _values(values: Sequence[float]) -> str:
