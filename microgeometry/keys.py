@@ -88,12 +88,13 @@ class Keys:
         at_most: float | None = None,
         or_inf: bool = False,
     ) -> float:
-        """Read one finite number within bounds; without a default the key is required."""
+        """Read one finite number within bounds, or inf if so said; without a default the key is required."""
         if key not in self.table and default is not None:
             return default
-        if or_inf and _is_number(self.table.get(key)) and self.table[key] == math.inf:
+        value = self._get(key)
+        if or_inf and _is_number(value) and value == math.inf:
             return math.inf
-        return self._number(key, self._get(key), above, at_least, below, at_most)
+        return self._number(key, value, above, at_least, below, at_most, ", or inf" if or_inf else "")
 
     def integer(self, key: str, default: int, *, at_least: int, at_most: int) -> int:
         """Read a whole number within bounds (both included)."""
@@ -169,6 +170,7 @@ class Keys:
         at_least: float | None,
         below: float | None,
         at_most: float | None,
+        or_else: str = "",
     ) -> float:
         good = _is_number(value)
         try:
@@ -183,5 +185,7 @@ class Keys:
             and (at_most is None or number <= at_most)
         )
         if not good:
-            raise self.error(key, f"must be a finite number{_bounds(above, at_least, below, at_most)}")
+            raise self.error(
+                key, f"must be a finite number{_bounds(above, at_least, below, at_most)}{or_else}"
+            )
         return number

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from math import inf, pi
+from math import pi
 from pathlib import Path
 from typing import TypeAlias
 
@@ -64,9 +64,10 @@ class TabulatedPhase:
         cosines, values = np.cos(np.deg2rad(theta))[::-1], value[::-1]
         if theta[0] != 0 or theta[-1] != 180 or any(b <= a for a, b in pairwise(cosines.tolist())):
             raise InputError(f"{file}: theta_deg must increase from row to row, from 0 to 180")
-        integral = pi * np.sum((values[1:] + values[:-1]) * np.diff(cosines))
-        if values.min() < 0 or not 0 < integral < inf:
+        if values.min() < 0 or values.max() == 0:
             raise InputError(f"{file}: values must not be negative, and above 0 somewhere")
+        values = values / values.max()
+        integral = pi * np.sum((values[1:] + values[:-1]) * np.diff(cosines))
         return cls(tuple(cosines.tolist()), tuple((values / integral).tolist()))
 
 

@@ -273,7 +273,7 @@ def _as_toml(mapping: Mapping[str, Any]) -> str:
 
 
 def _value(value: Any) -> str:
-    """Write a number, a string, a path, a list or an inline table."""
+    """Write a number, a string, a list or an inline table."""
     if hasattr(value, "tolist"):  # numpy's numbers and arrays
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -283,4 +283,4 @@ def _value(value: Any) -> str:
     if isinstance(value, int | float):
         return repr(value)
     # JSON writes strings the way TOML reads them, if characters stand as they are.
-    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
