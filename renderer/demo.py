@@ -50,10 +50,11 @@ class Stage:
 
 @dataclass(frozen=True)
 class _Case:
-    """A specimen and the model that should describe it."""
+    """A specimen, the folder that files it names are relative to, and the model that should describe it."""
 
     name: str
     specimen: Specimen
+    folder: Path
     model: str
 
 
@@ -77,11 +78,12 @@ class Demo:
         self.stages: list[Stage] = []
         examples = data_folder() / "specimens"
         first = (
-            _Case("gold", load_specimen(examples / "gold.toml"), "cook_torrance_beckmann")
+            _Case("gold", load_specimen(examples / "gold.toml"), examples, "cook_torrance_beckmann")
             if specimen is None
             else _users_case(specimen)
         )
-        lambertian = _Case("rough_lambert", load_specimen(examples / "rough_lambert.toml"), "oren_nayar")
+        second = load_specimen(examples / "rough_lambert.toml")
+        lambertian = _Case("rough_lambert", second, examples, "oren_nayar")
         self._cases = (first, lambertian)
         folder.mkdir(parents=True, exist_ok=True)
 
@@ -195,7 +197,8 @@ class Demo:
     ) -> None:
         report = self.folder / f"{case.name}_report.html"
         overlays = {**overlays, case.model: plots.overlay(fitted)}
-        write_report(table, report, {case.model: fitted}, sections, case.specimen.name, overlays)
+        title, fits = case.specimen.name, {case.model: fitted}
+        write_report(table, report, fits, sections, title, overlays, case.folder)
         for name, figure in (
             ("lobes", plots.lobes(table, overlays)),
             ("albedo", plots.albedo(table, overlays)),
@@ -229,7 +232,7 @@ def _users_case(path: Path) -> _Case:
     if path.suffix.lower() == ".toml":
         specimen = load_specimen(path)
         rough = specimen.material.kind == "lambert"
-        return _Case(path.stem, specimen, "oren_nayar" if rough else "cook_torrance_beckmann")
+        return _Case(path.stem, specimen, path.parent, "oren_nayar" if rough else "cook_torrance_beckmann")
     if not path.is_file():
         raise InputError(
             f"{path}: no such file; a specimen (.toml), a mesh or a measured height map is expected"
@@ -241,7 +244,7 @@ def _users_case(path: Path) -> _Case:
     specimen = parse_specimen(
         {"surface": surface, "material": {"kind": "conductor", "name": "Au"}}, path.parent
     )
-    return _Case(path.stem, specimen, "cook_torrance_beckmann")
+    return _Case(path.stem, specimen, path.parent, "cook_torrance_beckmann")
 
 
 def _shape(fitted: Fit) -> str:
