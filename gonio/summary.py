@@ -96,7 +96,7 @@ def summary_text(data: Mapping[str, Any]) -> str:
             lines.append(f"{theta_i[i]:7.2f}  {'   '.join(cells)}")
         if orders := {n: part for n, part in whole["parts"].items() if n != TRANSMISSION}:
             lines.append(f"theta_i  {name} by number of bounces, mean over channels")
-            lines.append(" " * 9 + "".join(f"{n:10s}" for n in orders))
+            lines.append((" " * 9 + "".join(f"{n:10s}" for n in orders)).rstrip())
             for i in rows:
                 cells = (f"{np.mean(part['albedo'][i]):<10.5f}" for part in orders.values())
                 lines.append(f"{theta_i[i]:7.2f}  {''.join(cells)}".rstrip())
