@@ -8,11 +8,10 @@ from dataclasses import asdict
 from pathlib import Path
 
 import click
-import numpy as np
 
 from gonio import formats
 from gonio.progress import progress_bar
-from gonio.summary import summary
+from gonio.summary import summary, summary_text
 from gonio.table.table import Table
 
 _PATH = click.Path(path_type=Path)
@@ -72,16 +71,16 @@ def trace(
 @click.argument("table", type=_PATH)
 @_JSON
 def info(table: Path, as_json: bool) -> None:
-    """Say what is in a table: grid, channels, albedo, error bars, ledger, provenance."""
+    """Say what is in a table: grid, channels, albedo, error bars, parts, ledger, provenance."""
     data = summary(formats.read(table), table)
-    click.echo(json.dumps(data) if as_json else _info_text(data))
+    click.echo(json.dumps(data) if as_json else summary_text(data))
 
 
 @click.command()
 @click.argument("table", type=_PATH)
 @_JSON
 def check(table: Path, as_json: bool) -> None:
-    """Check a table: reciprocity, energy, positivity, noise. Exit status 1 if it fails."""
+    """Check a table: reciprocity, energy, parts, positivity, noise. Exit status 1 if it fails."""
     from gonio.table.checks import check as run_checks
 
     report = run_checks(formats.read(table))
@@ -102,7 +101,7 @@ def check(table: Path, as_json: bool) -> None:
 )
 @_JSON
 def compress(table: Path, out: Path, max_error: float, as_json: bool) -> None:
-    """Compress a table within a bound on its error."""
+    """Compress a table and its parts within a bound on their error."""
     from gonio.table.compress import compress as run_compression
 
     report = run_compression(formats.read(table), out, max_error)
@@ -119,9 +118,14 @@ def compress(table: Path, out: Path, max_error: float, as_json: bool) -> None:
 @click.command()
 @click.argument("source", type=_PATH)
 @click.argument("target", type=_PATH)
-def convert(source: Path, target: Path) -> None:
+@click.option(
+    "--part",
+    help="Write only this part of the table, as a table of its own: transmission, or by number of bounces "
+    "L1, transmission/L1, ...; `gonio info` names them.",
+)
+def convert(source: Path, target: Path, part: str | None) -> None:
     """Convert a table between formats, chosen by suffix: .h5, .binary (MERL)."""
-    lost = formats.convert(source, target)
+    lost = formats.convert(source, target, part)
     click.echo(f"{target}: written" + "".join(f"\n  lost: {what}" for what in lost))
 
 
@@ -146,33 +150,3 @@ def _one_line(table: Table, path: Path) -> str:
         f"{path}: {p['paths'] / 1e6:.1f} M paths in {p['seconds']:.1f} s ({p['paths_per_second'] / 1e6:.2f} M/s), "
         f"{p['batches']} batches, albedo {table.row_albedo.mean():.4f} +- {table.albedo_std_error.max():.1e}"
     )
-
-
-def _info_text(data: dict) -> str:
-    lines = [f"{data['file']}: {data['bytes'] / 1e6:.1f} MB, {' x '.join(map(str, data['shape']))} cells"]
-    lines.append(f"channels      {', '.join(data['channels'])}")
-    if data["estimator"]:
-        lines.append(
-            f"traced        {data['ledger']['paths'] / 1e6:.1f} M paths, {data['batches']} batches, "
-            f"{data['seconds']:.1f} s, {data['paths_per_second'] / 1e6:.2f} M paths/s ({data['estimator']})"
-        )
-    if data["surface"]:
-        surface = data["surface"]
-        lines.append(
-            f"surface       alpha {surface['alpha']:.4f}, rms height {surface['rms_height']:.3g} m (measured)"
-        )
-    if data["figure_of_merit"]:
-        lines.append(f"merit         {data['figure_of_merit']:.3g} / (relative variance x s)")
-    for name, energy in data["ledger"].items():
-        lines.append(f"  {name:12s}{energy:.6g}")
-    lines.append("theta_i  albedo (+- standard error) [specular] in each channel")
-    rows = np.unique(np.linspace(0, len(data["theta_i_deg"]) - 1, 10).round().astype(int))
-    for i in rows:
-        cells = (
-            f"{a:.5f} +- {e:.1e} [{s:.4f}]"
-            for a, e, s in zip(
-                data["albedo"][i], data["albedo_std_error"][i], data["specular"][i], strict=True
-            )
-        )
-        lines.append(f"{data['theta_i_deg'][i]:7.2f}  {'   '.join(cells)}")
-    return "\n".join(lines)

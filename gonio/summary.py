@@ -1,12 +1,14 @@
-"""What is in a table, as the one dictionary that `gonio info --json` prints."""
+"""What is in a table, as the one dictionary that `gonio info --json` prints, and in words."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gonio.table.parts import TRANSMISSION
 from gonio.table.table import Table
 
 
@@ -22,14 +24,17 @@ def summary(table: Table, path: Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        Albedo, specular and transmittance are nested [theta_i][channel]; ledger in units of incident
-        energy, mean over channels. What a table does not know is None.
+        Albedo, specular, transmittance and their errors are nested [theta_i][channel]; ledger in units of
+        incident energy, mean over channels. Under "parts", by name, each part's albedo, its error, specular
+        and "parts" of its own. What a table does not know is None.
     """
     provenance = dict(table.provenance)
     names = (
         "estimator", "batches", "seconds", "paths_per_second", "figure_of_merit", "target_met", "surface",
     )  # fmt: skip
     known = {name: provenance.get(name) for name in names}
+    transmission = table.parts.get(TRANSMISSION)
+    dark = np.zeros_like(table.row_albedo)
     return {
         "file": str(path),
         "bytes": path.stat().st_size,
@@ -38,11 +43,69 @@ def summary(table: Table, path: Path) -> dict[str, Any]:
         "theta_i_are_cells": table.theta_i_edges is not None,
         "channels": list(table.channels),
         "wavelengths_nm": table.wavelengths_nm,
-        "albedo": table.row_albedo.tolist(),
-        "albedo_std_error": table.albedo_std_error.tolist(),
-        "specular": table.specular.tolist(),
-        "transmittance": np.zeros_like(table.row_albedo).tolist(),
+        **_rows(table),
+        "transmittance": (dark if transmission is None else transmission.row_albedo).tolist(),
+        "transmittance_std_error": (dark if transmission is None else transmission.albedo_std_error).tolist(),
         "ledger": dict(table.ledger),
         **known,
         "provenance": provenance,
     }
+
+
+def _rows(table: Table) -> dict[str, Any]:
+    """A table's row quantities, and those of its parts."""
+    return {
+        "albedo": table.row_albedo.tolist(),
+        "albedo_std_error": table.albedo_std_error.tolist(),
+        "specular": table.specular.tolist(),
+        "parts": {name: _rows(part) for name, part in table.parts.items()},
+    }
+
+
+def summary_text(data: Mapping[str, Any]) -> str:
+    """What `summary` found, for people; at most ten rows of incidence."""
+    lines = [f"{data['file']}: {data['bytes'] / 1e6:.1f} MB, {' x '.join(map(str, data['shape']))} cells"]
+    if part := data["provenance"].get("part"):
+        lines.append(f"part          {part}")
+    lines.append(f"channels      {', '.join(data['channels'])}")
+    if data["estimator"]:
+        lines.append(
+            f"traced        {data['ledger']['paths'] / 1e6:.1f} M paths, {data['batches']} batches, "
+            f"{data['seconds']:.1f} s, {data['paths_per_second'] / 1e6:.2f} M paths/s ({data['estimator']})"
+        )
+    if data["surface"]:
+        surface = data["surface"]
+        lines.append(
+            f"surface       alpha {surface['alpha']:.4f}, rms height {surface['rms_height']:.3g} m (measured)"
+        )
+    if data["figure_of_merit"]:
+        lines.append(f"merit         {data['figure_of_merit']:.3g} / (relative variance x s)")
+    width = max(map(len, data["ledger"]), default=0)
+    lines += [f"  {name:{width}}  {energy:.6g}" for name, energy in data["ledger"].items()]
+    theta_i = data["theta_i_deg"]
+    rows = np.unique(np.linspace(0, len(theta_i) - 1, 10).round().astype(int)).tolist()
+    for name, whole in _with_transmission(data):
+        lines.append(f"theta_i  {name} (+- standard error) [specular] in each channel")
+        for i in rows:
+            cells = (
+                f"{a:.5f} +- {e:.1e} [{s:.4f}]"
+                for a, e, s in zip(
+                    whole["albedo"][i], whole["albedo_std_error"][i], whole["specular"][i], strict=True
+                )
+            )
+            lines.append(f"{theta_i[i]:7.2f}  {'   '.join(cells)}")
+        if orders := {n: part for n, part in whole["parts"].items() if n != TRANSMISSION}:
+            lines.append(f"theta_i  {name} by number of bounces, mean over channels")
+            lines.append((" " * 9 + "".join(f"{n:10s}" for n in orders)).rstrip())
+            for i in rows:
+                cells = (f"{np.mean(part['albedo'][i]):<10.5f}" for part in orders.values())
+                lines.append(f"{theta_i[i]:7.2f}  {''.join(cells)}".rstrip())
+    return "\n".join(lines)
+
+
+def _with_transmission(data: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """What the table itself holds, and its transmission, each with the name of its row quantity."""
+    found: list[tuple[str, Mapping[str, Any]]] = [("albedo", data)]
+    if TRANSMISSION in data["parts"]:
+        found.append(("transmittance", data["parts"][TRANSMISSION]))
+    return found

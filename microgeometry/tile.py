@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import e, sqrt
 from typing import TypeAlias
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 from microgeometry.errors import InputError
@@ -24,6 +26,8 @@ class SurfaceStatistics:
     alpha : float
         Beckmann roughness, sqrt(2) times the rms slope per axis: ``sqrt(<hx^2 + hy^2>)``, the mean taken
         over the projected area of the facets that face up (also called Sdq).
+    alpha_x, alpha_y : float
+        The same of one axis: ``sqrt(2 <hx^2>)``, ``sqrt(2 <hy^2>)``; alpha^2 is the mean of their squares.
     rms_height : float
         Rms height in metres about the mean, over the projected area of the same facets (not of the
         samples: the flanks between them count).
@@ -36,10 +40,28 @@ class SurfaceStatistics:
     """
 
     alpha: float
+    alpha_x: float
+    alpha_y: float
     rms_height: float
     peak_to_valley: float
     area_ratio: float
     n_facets: int
+
+
+@dataclass(frozen=True)
+class HeightFieldStatistics(SurfaceStatistics):
+    """Statistics of a height field, which has an autocorrelation besides.
+
+    Attributes
+    ----------
+    correlation_length_x, correlation_length_y : float
+        Distance along the axis, metres, at which the autocorrelation of the heights about their mean has
+        fallen to 1/e, linear between samples. Half the period, the longest that a period can tell, where it
+        stays above: along grooves, or on a plane.
+    """
+
+    correlation_length_x: float
+    correlation_length_y: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,21 +128,24 @@ class HeightField:
         projected = self.size[0] * self.size[1] / hx.size
         return normals, projected * stretch
 
-    def statistics(self) -> SurfaceStatistics:
-        """Measure the tile (see `SurfaceStatistics`)."""
-        hx, hy = self.slopes()
-        slope_squared = hx * hx + hy * hy
+    def statistics(self) -> HeightFieldStatistics:
+        """Measure the tile (see `SurfaceStatistics` and `HeightFieldStatistics`)."""
+        x_squared, y_squared = (slope**2 for slope in self.slopes())
         z = self.heights - self.heights.mean()
         east, north = np.roll(z, -1, axis=0), np.roll(z, -1, axis=1)
         # The integral of z^2 over a triangle with corners a, b, c is A (a^2+b^2+c^2+ab+bc+ca) / 6.
         # Both triangles of a quad have one edge along x, one along y and the diagonal v1 v3.
         mean_z_squared = np.mean(3.0 * z * z + z * east + z * north + east * north) / 6.0
-        return SurfaceStatistics(
-            alpha=float(np.sqrt(slope_squared.mean())),
-            rms_height=float(np.sqrt(mean_z_squared)),
+        return HeightFieldStatistics(
+            alpha=sqrt(x_squared.mean() + y_squared.mean()),
+            alpha_x=sqrt(2.0 * x_squared.mean()),
+            alpha_y=sqrt(2.0 * y_squared.mean()),
+            rms_height=sqrt(mean_z_squared),
             peak_to_valley=float(np.ptp(z)),
-            area_ratio=float(np.sqrt(1.0 + slope_squared).mean()),
+            area_ratio=float(np.sqrt(1.0 + x_squared + y_squared).mean()),
             n_facets=2 * z.size,
+            correlation_length_x=_correlation_length(z, self.size[0], 0),
+            correlation_length_y=_correlation_length(z, self.size[1], 1),
         )
 
 
@@ -138,6 +163,8 @@ class TriangleMesh:
         Corner (x0, y0) of the period's rectangle, metres.
     size : tuple of float
         Periods (Lx, Ly), metres.
+    labels : ndarray, shape (F,), uint8, or None
+        What each face is made of: 0 the layer's material, 1 that of its `plane`. None: all of them 0.
 
     Raises
     ------
@@ -150,6 +177,7 @@ class TriangleMesh:
     faces: NDArray[np.int32]
     origin: tuple[float, float]
     size: tuple[float, float]
+    labels: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, dtype=np.float64)
@@ -166,6 +194,13 @@ class TriangleMesh:
         n_bad = np.count_nonzero(~np.isfinite(vertices).all(axis=1))
         if n_bad:
             raise InputError(f"vertices: {n_bad} of {len(vertices)} are NaN or infinite; all must be finite")
+        if self.labels is not None:
+            labels = np.ascontiguousarray(self.labels, dtype=np.uint8)
+            if labels.shape != (len(faces),):
+                raise InputError(
+                    f"labels of shape {labels.shape}: must be ({len(faces)},), one for each face"
+                )
+            object.__setattr__(self, "labels", labels)
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
         object.__setattr__(self, "origin", (float(self.origin[0]), float(self.origin[1])))
@@ -209,8 +244,11 @@ class TriangleMesh:
         mean = np.sum(weights * (a + b + c)) / 3.0
         a, b, c = a - mean, b - mean, c - mean
         z_squared = (a * a + b * b + c * c + a * b + b * c + c * a) / 6.0
+        x_squared, y_squared = (np.sum(weights * (normals[up, axis] / nz) ** 2) for axis in (0, 1))
         return SurfaceStatistics(
-            alpha=float(np.sqrt(np.sum(weights * (normals[up, 0] ** 2 + normals[up, 1] ** 2) / nz**2))),
+            alpha=sqrt(x_squared + y_squared),
+            alpha_x=sqrt(2.0 * x_squared),
+            alpha_y=sqrt(2.0 * y_squared),
             rms_height=float(np.sqrt(np.sum(weights * z_squared))),
             peak_to_valley=float(np.ptp(self.vertices[self.faces, 2])),
             area_ratio=float(areas.sum() / (self.size[0] * self.size[1])),
@@ -219,6 +257,19 @@ class TriangleMesh:
 
 
 Tile: TypeAlias = HeightField | TriangleMesh
+
+
+def _correlation_length(heights: NDArray[np.float64], period: float, axis: int) -> float:
+    """Distance along an axis at which the autocorrelation of heights of mean 0 falls to 1/e (or period / 2)."""
+    n = heights.shape[axis]
+    power = np.abs(scipy.fft.rfft(heights, axis=axis, workers=2)) ** 2
+    correlation = scipy.fft.irfft(power.sum(axis=1 - axis), n)[: n // 2 + 1]
+    below = np.flatnonzero(correlation < correlation[0] / e)
+    if len(below) == 0:
+        return 0.5 * period
+    lag = below[0]
+    before, after = correlation[lag - 1 : lag + 1]
+    return float(lag - 1 + (before - correlation[0] / e) / (before - after)) * period / n
 
 
 def _checked_size(size: tuple[float, float]) -> tuple[float, float]:

@@ -92,12 +92,22 @@ def _interruptible() -> Iterator:
 @click.argument("fits", metavar="[FIT.json ...]", nargs=-1, type=click.Path(path_type=Path))
 @click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="The HTML file.")
 def report(table: Path, fits: tuple[Path, ...], out: Path) -> None:
-    """Write what is in a table, and how fits describe it, as one HTML page with plots."""
+    """Write what is in a table, and how fits describe it, as one HTML page with plots.
+
+    Files that the specimen names (a height map, a mesh) are looked for beside the table.
+    """
     from fitting.result import Fit
     from gonio.table.table import Table
     from renderer.report import write_report
 
-    write_report(Table.load(table), out, {path.stem: Fit.load(path) for path in fits})
+    with progress_bar(f"Report of {table.name}") as progress:
+        write_report(
+            Table.load(table),
+            out,
+            {path.stem: Fit.load(path) for path in fits},
+            folder=table.parent,
+            progress=progress,
+        )
     click.echo(f"{out}: written")
 
 

@@ -26,8 +26,9 @@ from renderer import plots
 from renderer.compare import Difference, side_by_side
 from renderer.image import Image
 from renderer.mitsuba_xml import load_scene
+from renderer.page import image_html, rows_html
 from renderer.render import render
-from renderer.report import image_html, rows_html, write_report
+from renderer.report import write_report
 from renderer.scene import Scene
 
 _RAYS = 20_000_000
@@ -49,10 +50,11 @@ class Stage:
 
 @dataclass(frozen=True)
 class _Case:
-    """A specimen and the model that should describe it."""
+    """A specimen, the folder that files it names are relative to, and the model that should describe it."""
 
     name: str
     specimen: Specimen
+    folder: Path
     model: str
 
 
@@ -76,11 +78,12 @@ class Demo:
         self.stages: list[Stage] = []
         examples = data_folder() / "specimens"
         first = (
-            _Case("gold", load_specimen(examples / "gold.toml"), "cook_torrance_beckmann")
+            _Case("gold", load_specimen(examples / "gold.toml"), examples, "cook_torrance_beckmann")
             if specimen is None
             else _users_case(specimen)
         )
-        lambertian = _Case("rough_lambert", load_specimen(examples / "rough_lambert.toml"), "oren_nayar")
+        second = load_specimen(examples / "rough_lambert.toml")
+        lambertian = _Case("rough_lambert", second, examples, "oren_nayar")
         self._cases = (first, lambertian)
         folder.mkdir(parents=True, exist_ok=True)
 
@@ -116,12 +119,10 @@ class Demo:
 
     def _compile(self) -> None:
         """Use every kernel once on next to nothing, so that the other stages' times are theirs alone."""
-        small = {"kind": "gaussian", "alpha": 0.5, "samples": 32, "size": 8}
         with self._stage("compile") as result, tempfile.TemporaryDirectory() as name:
             for case in self._cases:
-                surface = parse_specimen({"surface": small, "material": {"kind": "mirror"}}).surface
                 grid = replace(case.specimen.grid, theta_step_deg=10, phi_step_deg=20, theta_i_deg=None)
-                table = measure(replace(case.specimen, surface=surface, grid=grid), rays=1)
+                table = measure(replace(case.specimen, grid=grid), seconds=1e-3)
                 fitted = fit(table, case.model)
                 fitted.table(table)
             table.save(Path(name, "table.h5"))
@@ -196,7 +197,8 @@ class Demo:
     ) -> None:
         report = self.folder / f"{case.name}_report.html"
         overlays = {**overlays, case.model: plots.overlay(fitted)}
-        write_report(table, report, {case.model: fitted}, sections, case.specimen.name, overlays)
+        title, fits = case.specimen.name, {case.model: fitted}
+        write_report(table, report, fits, sections, title, overlays, case.folder)
         for name, figure in (
             ("lobes", plots.lobes(table, overlays)),
             ("albedo", plots.albedo(table, overlays)),
@@ -230,7 +232,7 @@ def _users_case(path: Path) -> _Case:
     if path.suffix.lower() == ".toml":
         specimen = load_specimen(path)
         rough = specimen.material.kind == "lambert"
-        return _Case(path.stem, specimen, "oren_nayar" if rough else "cook_torrance_beckmann")
+        return _Case(path.stem, specimen, path.parent, "oren_nayar" if rough else "cook_torrance_beckmann")
     if not path.is_file():
         raise InputError(
             f"{path}: no such file; a specimen (.toml), a mesh or a measured height map is expected"
@@ -242,7 +244,7 @@ def _users_case(path: Path) -> _Case:
     specimen = parse_specimen(
         {"surface": surface, "material": {"kind": "conductor", "name": "Au"}}, path.parent
     )
-    return _Case(path.stem, specimen, "cook_torrance_beckmann")
+    return _Case(path.stem, specimen, path.parent, "cook_torrance_beckmann")
 
 
 def _shape(fitted: Fit) -> str:

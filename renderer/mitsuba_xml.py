@@ -146,7 +146,7 @@ class _Loader:
         if path not in self.tables:
             self.tables[path] = Table.load(path)
         table = self.tables[path]
-        check_channels(node, len(table.channels))
+        check_channels(node, path, table)
         return Material("tabulated", {"table": table, "filename": str(path)})
 
     def two_sided(self, node: Node) -> Material:

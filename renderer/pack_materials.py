@@ -15,6 +15,7 @@ from microgeometry.errors import InputError
 from renderer.analytic import Lobes
 from renderer.materials import KINDS, Materials
 from renderer.scene import Array, Material
+from renderer.spectral import rgb_table, rgb_weights
 
 DISTRIBUTIONS = {"beckmann": 0.0, "ggx": 1.0}
 
@@ -25,11 +26,13 @@ def pack_materials(materials: Sequence[Material]) -> Materials:
     Raises
     ------
     InputError
-        An unknown kind, a value out of range, or a table or fit that is not of one or three channels.
+        An unknown kind, a value out of range, or a table or fit whose channels are no colours (see
+        `renderer.spectral`).
     """
     values = np.zeros((len(materials), 12))
     first, count = np.zeros((2, len(materials)), np.int64)
-    tables: list[Table] = []
+    names: list[str] = []
+    tables: list[Table] = []  # as they are given
     lobes: list[Lobes] = [Lobes(np.zeros(0, np.int64), np.zeros((0, SIZE)), np.zeros((0, 7)))]
     for m, material in enumerate(materials):
         if material.kind not in KINDS:
@@ -39,15 +42,14 @@ def pack_materials(materials: Sequence[Material]) -> Materials:
             values[m, : len(entries)] = entries
         elif material.kind == "tabulated":
             table: Table = material.values["table"]
-            _check_channels(material, table.channels)
             known = [i for i, other in enumerate(tables) if other is table]
             first[m] = known[0] if known else len(tables)
             if not known:
                 tables.append(table)
+                names.append(_name(material))
         elif material.kind == "analytic":
             fit: Fit = material.values["fit"]
-            _check_channels(material, fit.channels)
-            lobes.append(_lobes(fit))
+            lobes.append(_lobes(fit, _name(material)))
             first[m], count[m] = sum(len(part.kind) for part in lobes[:-1]), len(lobes[-1].kind)
     return Materials(
         np.array([KINDS.index(m.kind) for m in materials], np.int64),
@@ -55,37 +57,36 @@ def pack_materials(materials: Sequence[Material]) -> Materials:
         values,
         first,
         count,
-        pool_tables(tables),
+        pool_tables([rgb_table(table, name) for table, name in zip(tables, names, strict=True)]),
         Lobes(*(np.concatenate(parts) for parts in zip(*lobes, strict=True))),
     )
 
 
-def _check_channels(material: Material, channels: Sequence[str]) -> None:
-    if len(channels) not in (1, 3):
-        name = material.values.get("filename", material.kind)
-        raise InputError(
-            f"{name}: has {len(channels)} channels; one (grey) or three (red, green, blue) can be rendered"
-        )
+def _name(material: Material) -> str:
+    return str(material.values.get("filename", material.kind))
 
 
-def _lobes(fit: Fit) -> Lobes:
+def _lobes(fit: Fit, name: str) -> Lobes:
     """A model's lobes; the two terms of one lobe, which a fit lists apart, are evaluated together."""
-    terms = fit.terms()
+    kinds, shapes, weights = fit.terms()
+    spectrum = rgb_weights(fit.channels, fit.wavelengths_nm, name)
+    if spectrum is not None:
+        weights = np.maximum(weights @ spectrum.T, 0.0)  # a colour outside the gamut is cut off
     merged: dict[tuple, Array] = {}
-    for kind, shape, weight in zip(*terms, strict=True):
+    for kind, shape, weight in zip(kinds, shapes, weights, strict=True):
         rgb = np.broadcast_to(weight, (3,))
         entry = merged.setdefault((int(kind), *shape[SHAPE:]), np.zeros(7))
         entry[:3] += shape[0] * rgb
         entry[3:6] += shape[1] * rgb
-    weights = np.array(list(merged.values())).reshape(-1, 7)
+    lobes = np.array(list(merged.values())).reshape(-1, 7)
     # The second term is Schlick's grazing part or a correction: small but near the horizon.
-    chance = weights[:, :3].mean(axis=1) + 0.2 * weights[:, 3:6].mean(axis=1)
-    weights[:, 6] = chance / max(chance.sum(), 1e-300)
-    shapes = np.zeros((len(merged), SIZE))
-    shapes[:, :SHAPE] = 1.0
-    for row, key in zip(shapes, merged, strict=True):
+    chance = lobes[:, :3].mean(axis=1) + 0.2 * lobes[:, 3:6].mean(axis=1)
+    lobes[:, 6] = chance / max(chance.sum(), 1e-300)
+    packed = np.zeros((len(merged), SIZE))
+    packed[:, :SHAPE] = 1.0
+    for row, key in zip(packed, merged, strict=True):
         row[SHAPE:] = key[1:]
-    return Lobes(np.array([key[0] for key in merged], np.int64), shapes, weights)
+    return Lobes(np.array([key[0] for key in merged], np.int64), packed, lobes)
 
 
 def _rgb(material: Material, name: str, default: float = 1.0, largest: float = 1.0) -> list[float]:

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from fitting.result import Fit
 from gonio.files import atomic
+from gonio.progress import Report
 from gonio.table.checks import check
+from gonio.table.parts import TRANSMISSION, orders_of
 from gonio.table.table import Table
-from renderer import plots
+from renderer import part_plots, plots
+from renderer.page import figure_html, rows_html
+from renderer.specimen_section import specimen_html
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
@@ -24,6 +25,9 @@ table { border-collapse: collapse; margin: 1em 0; } td, th { padding: .15em .8em
 th { border-bottom: 1px solid #999; font-weight: 600; } td:first-child, th:first-child { text-align: left; }
 img { max-width: 100%; } pre { background: #f4f4f4; padding: .8em; overflow-x: auto; }
 .fail { color: #b00; font-weight: 600; }
+.pictures { display: flex; flex-wrap: wrap; gap: 1em 2em; } figure { margin: 0; width: 480px; max-width: 100%; }
+figcaption { font-size: 13px; color: #555; }
+.bar { background: #7d99b5; height: .7em; min-width: 1px; }
 """
 
 Section = tuple[str, str]
@@ -32,6 +36,7 @@ Section = tuple[str, str]
 def write_report(
     table: Table, path: str | os.PathLike[str], fits: Mapping[str, Fit] | None = None,
     extra: Sequence[Section] = (), title: str = "", overlays: Mapping[str, Table] | None = None,
+    folder: str | os.PathLike[str] = ".", progress: Report | None = None,
 ) -> None:  # fmt: skip
     """Write the report of a table and of fits to it.
 
@@ -48,6 +53,10 @@ def write_report(
         Default: the specimen's name.
     overlays : mapping of str to Table, optional
         What the plots show beside the table; default: the fits as tables.
+    folder : path, optional
+        What files named in the specimen are relative to.
+    progress : callable, optional
+        Called before each section.
 
     Raises
     ------
@@ -58,18 +67,12 @@ def write_report(
     name = title or str(table.provenance.get("name", "BRDF table"))
     if overlays is None:
         overlays = {label: plots.overlay(fit) for label, fit in fits.items()}
-    sections = [
-        *extra,
-        ("Measurement", _measurement(table)),
-        ("Checks", _checks(table)),
-        ("Lobes in the plane of incidence", figure_html(plots.lobes(table, overlays))),
-        ("Directional albedo", figure_html(plots.albedo(table, overlays))),
-        ("Hemisphere", figure_html(plots.hemisphere(table))),
-    ]
-    if fits:
-        sections.append(("Fits", _fits(fits)))
-    if "specimen" in table.provenance:
-        sections.append(("Specimen", f"<pre>{html.escape(str(table.provenance['specimen']))}</pre>"))
+    sections = list(extra)
+    builders = _sections(table, fits, overlays, Path(folder))
+    for number, (heading, build) in enumerate(builders):
+        if progress is not None:
+            progress(number / len(builders), heading)
+        sections.append((heading, build()))
     body = "\n".join(f"<h2>{html.escape(heading)}</h2>\n{content}" for heading, content in sections)
     page = (
         f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>{html.escape(name)}</title>'
@@ -79,23 +82,74 @@ def write_report(
         Path(temporary).write_text(page, encoding="utf-8")
 
 
-def figure_html(figure: Figure) -> str:
-    """A matplotlib figure as an image that stands in the page itself."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=110, format="png")
-    return image_html(buffer.getvalue())
+def _sections(
+    table: Table, fits: Mapping[str, Fit], overlays: Mapping[str, Table], folder: Path
+) -> list[tuple[str, Callable[[], str]]]:
+    """Headings of the sections that this table has, and what writes each."""
+    text = table.provenance.get("specimen")
+    sections: list[tuple[str, Callable[[], str]]] = []
+    if text is not None:
+        sections.append(("Surface", lambda: specimen_html(str(text), folder)))
+    sections.append(("Measurement", lambda: _measurement(table)))
+    if table.ledger.get("paths", 0) or TRANSMISSION in table.parts:
+        sections.append(("Where the light went", lambda: _energy(table)))
+    sections.append(("Checks", lambda: _checks(table)))
+    sections.append(("Lobes in the plane of incidence", lambda: _lobes(table, overlays)))
+    if any(orders_of(part) for part in _hemispheres(table).values()):
+        sections.append(("By number of bounces", lambda: _orders(table)))
+    sections.append(("Directional albedo", lambda: figure_html(plots.albedo(table, overlays))))
+    sections.append(("Hemisphere", lambda: _hemisphere(table)))
+    if fits:
+        sections.append(("Fits", lambda: _fits(fits)))
+    if text is not None:
+        sections.append(("Specimen", lambda: f"<pre>{html.escape(str(text))}</pre>"))
+    return sections
 
 
-def image_html(png: bytes) -> str:
-    """A PNG's bytes as an image that stands in the page itself."""
-    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+def _hemispheres(table: Table) -> dict[str, Table]:
+    """Light that was reflected, and that was transmitted if there is any."""
+    both = {"Reflected": table}
+    if TRANSMISSION in table.parts:
+        both["Transmitted"] = table.parts[TRANSMISSION]
+    return both
 
 
-def rows_html(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """An HTML table of text."""
-    cells = "".join(f"<th>{html.escape(h)}</th>" for h in head)
-    body = "".join("<tr>" + "".join(f"<td>{html.escape(str(c))}</td>" for c in row) + "</tr>" for row in rows)
-    return f"<table><tr>{cells}</tr>{body}</table>"
+def _lobes(table: Table, overlays: Mapping[str, Table]) -> str:
+    return _titled(
+        {
+            side: figure_html(
+                plots.lobes(part, overlays if part is table else {}, transmitted=part is not table)
+            )
+            for side, part in _hemispheres(table).items()
+        }
+    )
+
+
+def _hemisphere(table: Table) -> str:
+    return _titled(
+        {
+            side: figure_html(plots.hemisphere(part, transmitted=part is not table))
+            for side, part in _hemispheres(table).items()
+        }
+    )
+
+
+def _orders(table: Table) -> str:
+    return _titled(
+        {
+            side: figure_html(part_plots.orders_albedo(part, part is not table))
+            + figure_html(part_plots.orders_lobes(part, transmitted=part is not table))
+            for side, part in _hemispheres(table).items()
+            if orders_of(part)
+        }
+    )
+
+
+def _titled(sides: Mapping[str, str]) -> str:
+    """What is reflected needs no title where nothing is transmitted."""
+    if len(sides) == 1:
+        return "".join(sides.values())
+    return "".join(f"<h3>{side}</h3>{content}" for side, content in sides.items())
 
 
 def _measurement(table: Table) -> str:
@@ -110,8 +164,6 @@ def _measurement(table: Table) -> str:
             ("alpha, measured on the facets", f"{facts['surface']['alpha']:.4f}"),
             ("rms height, measured", f"{facts['surface']['rms_height'] * 1e6:.4g} um"),
         ]
-    paths = table.ledger.get("paths", 0)
-    rows += [(f"ledger: {k}", f"{v:.6g} ({v / paths:.4%})") for k, v in table.ledger.items() if paths]
     single = facts.get("realisations") == 1 and facts.get("surface", {}).get("alpha", 0) > 0
     note = (
         "<p>The surface is one fixed piece: error bars hold the noise of the rays on it, not how another "
@@ -120,6 +172,29 @@ def _measurement(table: Table) -> str:
         else ""
     )
     return rows_html(("", ""), rows) + note
+
+
+def _energy(table: Table) -> str:
+    """The ledger with a bar for each share, and what becomes of the light over theta_i."""
+    figure = figure_html(part_plots.energy(table)) if TRANSMISSION in table.parts else ""
+    paths = table.ledger.get("paths", 0)
+    if not paths:
+        return figure
+    inner = [name for name in table.ledger if name.startswith("absorbed: ")]
+    rows = []
+    for name in (name for name in table.ledger if name != "paths" and name not in inner):
+        rows.append(_bar(name, table.ledger[name] / paths, 0.8))
+        if name == "absorbed":
+            rows += [_bar(i.removeprefix("absorbed: "), table.ledger[i] / paths, 2.3) for i in inner]
+    head = "<tr><th>all rows together, mean of the channels</th><th>energy</th><th></th></tr>"
+    return f"<table>{head}{''.join(rows)}</table>{figure}"
+
+
+def _bar(what: str, share: float, indent: float) -> str:
+    return (
+        f'<tr><td style="padding-left: {indent}em">{html.escape(what)}</td><td>{share:.4%}</td>'
+        f'<td style="width: 20em"><div class="bar" style="width: {max(share, 0.0):.3%}"></div></td></tr>'
+    )
 
 
 def _checks(table: Table) -> str:

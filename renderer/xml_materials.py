@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from fitting.result import Fit
+from gonio.table.table import Table
 from microgeometry.errors import InputError
 from microgeometry.indices import refractive_index
 from renderer.scene import Material
+from renderer.spectral import rgb_weights
 from renderer.xml_properties import Node
 
 RGB_WAVELENGTHS_NM = (630.0, 532.0, 467.0)
@@ -22,10 +25,12 @@ _INDICES = {
 }  # fmt: skip
 
 
-def check_channels(node: Node, n: int) -> None:
-    """Refuse a file of neither one nor three channels."""
-    if n not in (1, 3):
-        raise node.error(f"its file has {n} channels; one (grey) or three (red, green, blue) can be rendered")
+def check_channels(node: Node, path: Path, content: Table | Fit) -> None:
+    """Refuse a file whose channels are no colours."""
+    try:
+        rgb_weights(content.channels, content.wavelengths_nm, str(path))
+    except InputError as error:
+        raise node.error(str(error)) from None
 
 
 def diffuse(node: Node) -> Material:
@@ -111,5 +116,5 @@ def analytic(node: Node) -> Material:
     """A fit's or hand-written model's JSON file."""
     path = node.file()
     fit = Fit.load(path)
-    check_channels(node, len(fit.channels))
+    check_channels(node, path, fit)
     return Material("analytic", {"fit": fit, "filename": str(path)})

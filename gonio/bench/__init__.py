@@ -8,7 +8,7 @@ from typing import Any
 
 from microgeometry.errors import InputError
 
-BENCHMARKS = {"trace": "gonio.bench.trace"}
+BENCHMARKS = {"trace": "gonio.bench.trace", "materials": "gonio.bench.materials"}
 """Name to module; a module has ``run(say) -> dict``."""
 
 

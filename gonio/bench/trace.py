@@ -1,8 +1,10 @@
-"""`gonio bench trace`: complete paths per second on a rough mirror, beside a plain embreex + numpy loop.
+"""`gonio bench trace`: complete paths per second on a rough mirror, beside two other loops.
 
 The surface is a Gaussian height field, alpha 0.5, 512 x 512 samples at 16 samples a correlation length,
-lossless mirror facets. Both programs trace the same periodic tile, follow every path to its exit and bin
-it on a 1-degree grid.
+lossless mirror facets. All trace the same periodic tile, follow every path to its exit and bin it on a
+1-degree grid: the instrument; a plain loop of embreex and numpy, as one would write it in an afternoon; and
+the bare loop of `gonio.bench.bare`, compiled as well, that knows mirrors and nothing else. Against the
+latter it shows what the presence of all other materials costs a mirror.
 """
 
 from __future__ import annotations
@@ -14,9 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.bench.bare import trace_mirror
 from gonio.core.directions import direction
+from gonio.core.lookup import axis
+from gonio.core.parallel import for_each
 from gonio.trace.measure import Measurement
-from gonio.trace.scene import periodic_vertices
+from gonio.trace.scene import TraceScene, periodic_vertices
 from microgeometry.specimen import parse_specimen
 from microgeometry.tile import HeightField
 
@@ -30,15 +35,21 @@ def run(say: Callable[[str], None]) -> dict[str, Any]:
     """Measure both at each angle; returns paths/s, their ratio, and DHR (1 for both, or one is wrong)."""
     plain_loop = _PlainLoop(_specimen(0).surface.realise(0))
     results = []
-    say(f"{'theta_i':>8} {'M paths/s':>10} {'embreex+numpy':>14} {'ratio':>6} {'albedo':>14}")
+    heads = (
+        f"{'theta_i':>8} {'M paths/s':>10} {'bare loop':>10} {'ratio':>6}",
+        f"{'embreex+numpy':>14} {'ratio':>6}",
+    )
+    say(" ".join((*heads, f"{'albedo':>8}")))
     for theta in THETA_I_DEG:
-        fast, albedo, lost = _compiled(theta)
+        fast, bare, albedo, lost = _compiled(theta)
         slow, plain_albedo = plain_loop.paths_per_second(theta)
         # both bin one path as one count: at equal paths their errors are equal, so this is the ratio of FOMs
         results.append(
             {
                 "theta_i_deg": theta,
                 "paths_per_second": fast,
+                "bare_paths_per_second": bare,
+                "bare_ratio": fast / bare,
                 "plain_paths_per_second": slow,
                 "ratio": fast / slow,
                 "albedo": albedo,
@@ -47,12 +58,14 @@ def run(say: Callable[[str], None]) -> dict[str, Any]:
             }
         )
         say(
-            f"{theta:8d} {fast / 1e6:10.2f} {slow / 1e6:14.3f} {fast / slow:6.1f} {albedo:6.4f} {plain_albedo:6.4f}"
+            f"{theta:8d} {fast / 1e6:10.2f} {bare / 1e6:10.2f} {fast / bare:6.2f} {slow / 1e6:14.3f} "
+            f"{fast / slow:6.1f} {albedo:8.4f} {plain_albedo:6.4f}"
         )
     mean = float(np.mean([r["paths_per_second"] for r in results]))
     ratio = float(np.exp(np.mean([np.log(r["ratio"]) for r in results])))
-    say(f"{'mean':>8} {mean / 1e6:10.2f} {'':14} {ratio:6.1f}  (geometric)")
-    return {"angles": results, "mean_paths_per_second": mean, "ratio": ratio}
+    bare_ratio = float(np.exp(np.mean([np.log(r["bare_ratio"]) for r in results])))
+    say(f"{'mean':>8} {mean / 1e6:10.2f} {'':10} {bare_ratio:6.2f} {'':14} {ratio:6.1f}  (ratios: geometric)")
+    return {"angles": results, "mean_paths_per_second": mean, "ratio": ratio, "bare_ratio": bare_ratio}
 
 
 def _specimen(theta_i_deg: float) -> Any:
@@ -65,17 +78,42 @@ def _specimen(theta_i_deg: float) -> Any:
     )
 
 
-def _compiled(theta_i_deg: float) -> tuple[float, float, float]:
-    """Paths/s of the instrument's own batches, realisation of the surface and statistics not counted."""
+def _compiled(theta_i_deg: float) -> tuple[float, float, float, float]:
+    """Paths/s of the instrument's own batches, and of the bare loop; albedo and lost paths of the instrument.
+
+    Realisations of the surface and statistics are not counted. The two take turns, so that whatever else
+    the machine does slows both.
+    """
     measurement = Measurement(_specimen(theta_i_deg), rays=32 * _PATHS)
     measurement.add_batch()  # compiles, and fills caches
-    best = 0.0
+    scene = TraceScene([_specimen(0).surface.realise(0)])
+    _bare(scene, theta_i_deg)
+    best = bare = 0.0
     for _ in range(_REPEATS):
         before = measurement.trace_seconds
         measurement.add_batch()
         best = max(best, measurement.paths_per_batch / (measurement.trace_seconds - before))
+        bare = max(bare, _bare(scene, theta_i_deg))
     ledger = measurement.tally.ledger
-    return best, ledger["reflected"] / ledger["paths"], ledger["lost"]
+    return best, bare, ledger["reflected"] / ledger["paths"], ledger["lost"]
+
+
+def _bare(scene: TraceScene, theta_i_deg: float) -> float:
+    """Paths/s of the bare loop, over as many paths and in as many pieces as the instrument's batch."""
+    strata, pieces = 256, 32
+    packets = strata * strata
+    theta = axis(np.sin(np.radians(np.arange(91))) ** 2)
+    phi = axis(-np.cos(np.radians(np.arange(181))))
+    cells = np.zeros((pieces, 90, 180), np.int64)
+    sin_i = float(np.sin(np.radians(theta_i_deg)))
+
+    def trace(piece: int) -> None:
+        first, last = piece * packets // pieces, (piece + 1) * packets // pieces
+        trace_mirror(scene.embree, scene.box, theta, phi, sin_i, strata, first, last, 0, cells[piece])
+
+    started = time.perf_counter()
+    for_each(trace, pieces, None)
+    return 16 * packets / (time.perf_counter() - started)
 
 
 class _PlainLoop:

@@ -39,6 +39,29 @@ def cosine_hemisphere(u0, u1):
 
 
 @kernel(allocates=False)
+def dot(a, b):
+    """Scalar product of two directions."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel(allocates=False)
+def combine(a, x, b, y, c, z):
+    """The vector a x + b y + c z."""
+    return (
+        a * x[0] + b * y[0] + c * z[0],
+        a * x[1] + b * y[1] + c * z[1],
+        a * x[2] + b * y[2] + c * z[2],
+    )
+
+
+@kernel(allocates=False)
+def unit(v):
+    """The direction of a vector; its length must not be 0."""
+    scale = 1.0 / math.sqrt(dot(v, v))
+    return scale * v[0], scale * v[1], scale * v[2]
+
+
+@kernel(allocates=False)
 def half_vector(wi, wo):
     """Unit vector along wi + wo; (0, 0, 1) where they cancel."""
     x, y, z = wi[0] + wo[0], wi[1] + wo[1], wi[2] + wo[2]

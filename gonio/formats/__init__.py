@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from gonio.table.parts import extract
 from microgeometry.errors import InputError
 
 if TYPE_CHECKING:
@@ -50,10 +51,35 @@ def write(table: Table, path: str | os.PathLike[str]) -> list[str]:
     return _module(Path(path)).write(table, Path(path))
 
 
-def convert(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> list[str]:
-    """Read one format and write another, both chosen by suffix; returns what was lost in writing."""
+def convert(
+    source: str | os.PathLike[str], target: str | os.PathLike[str], part: str | None = None
+) -> list[str]:
+    """Read one format and write another, both chosen by suffix.
+
+    Parameters
+    ----------
+    source, target : path
+    part : str, optional
+        Write only this part, as a table of its own: "transmission", "L1", "transmission/L1".
+
+    Returns
+    -------
+    list of str
+        What was lost in writing.
+
+    Raises
+    ------
+    InputError
+        As `read`; an unknown suffix, a missing folder, or no such part.
+    """
     check_target(target)
-    return write(read(source), target)
+    table = read(source)
+    if part is not None:
+        try:
+            table = extract(table, part)
+        except InputError as error:
+            raise InputError(f"{source}: {error}") from error
+    return write(table, target)
 
 
 def check_target(path: str | os.PathLike[str]) -> None:

@@ -1,4 +1,4 @@
-"""The table's own format: HDF5 with dimension scales, version 1.0.
+"""The table's own format: HDF5 with dimension scales, version 1.1.
 
 Root attributes: ``format`` = "gonio-table", ``version``, ``conventions`` (angles and units in words), and
 ``ledger`` and ``provenance`` as JSON. Datasets carry the field names of `Table`, their ``units``, and a
@@ -6,13 +6,18 @@ dimension scale on every axis, so that xarray opens the file with its coordinate
 ``delta_phi`` (cell centres) and ``channel`` exist as scales; the edges are what is read back.
 
 A table whose values are compressed has, in place of ``values``, a group ``compressed`` that
-`gonio.table.compress` decodes. Readers accept any minor version of their own major version.
+`gonio.table.compress` decodes. The table's parts are groups ``parts/<name>`` of the same schema, each with
+its own scales, so that xarray opens a group like the file. Readers accept any minor version of their own
+major version.
+
+Version 1.1 added parts.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +30,12 @@ from gonio.table.table import Table
 from microgeometry.errors import InputError
 
 FORMAT = "gonio-table"
-VERSION = "1.0"
+VERSION = "1.1"
 _CONVENTIONS = (
     "values are BRDF f_r in 1/sr without cosine, averaged over cells in projected solid angle; theta_i and "
     "theta_r are polar angles of the outward directions to light and detector; delta_phi = |phi_i - phi_r| "
-    "is 0 at retro-reflection and pi on the mirror side"
+    "is 0 at retro-reflection and pi on the mirror side; in parts/transmission theta_r is the angle from -z, "
+    "and delta_phi = pi is straight through"
 )
 _GRID = ("theta_i", "theta_r", "delta_phi", "channel")
 # Dataset: axes and units. In the order written; the scales come first.
@@ -55,6 +61,7 @@ _DATA: dict[str, tuple[tuple[str, ...], str]] = {
 _OPTIONAL = {"theta_i_edges", "std_error", "hits", "gaps", "wavelengths_nm"}
 # Deflate cannot shrink more than this; a dataset that claims more is damaged or hostile.
 _MAX_RATIO = 1100
+_MAX_DEPTH = 8  # of parts in parts: in a damaged file a group may hold itself
 
 
 def write(table: Table, path: Path, compressed: Compressed | None = None) -> list[str]:
@@ -64,9 +71,10 @@ def write(table: Table, path: Path, compressed: Compressed | None = None) -> lis
     ----------
     table : Table
     path : Path
-    compressed : mapping, optional
+    compressed : mapping of str to mapping, optional
         Content of the group ``compressed`` that stands in for ``values``: arrays become datasets, numbers
-        and text attributes. See `gonio.table.compress`.
+        and text attributes. One for the table, under "", and one for each of its parts, under its path
+        ("transmission/L1"). See `gonio.table.compress`.
 
     Returns
     -------
@@ -80,29 +88,8 @@ def write(table: Table, path: Path, compressed: Compressed | None = None) -> lis
     """
     # Built in memory: HDF5 does not survive a disk that fills while it writes, a plain write does
     with h5py.File(path.name, "w", driver="core", backing_store=False, libver="v110") as file:
-        file.attrs.update(
-            format=FORMAT,
-            version=VERSION,
-            conventions=_CONVENTIONS,
-            ledger=json.dumps(dict(table.ledger)),
-            provenance=json.dumps(dict(table.provenance)),
-        )
-        for name, unit in _SCALES.items():
-            if (axis := getattr(table, name)) is not None:
-                _write_scale(file, name, axis, unit)
-        _write_scale(file, "channel", np.array(table.channels, h5py.string_dtype()), "")
-        for name, (axes, unit) in _DATA.items():
-            data = getattr(table, name)
-            if data is None or (name == "values" and compressed is not None):
-                continue
-            _write_data(file, name, np.asarray(data), axes, unit)
-        if compressed is not None:
-            group = file.create_group("compressed")
-            for name, item in compressed.items():
-                if isinstance(item, np.ndarray):
-                    group[name] = item
-                else:
-                    group.attrs[name] = item
+        file.attrs.update(format=FORMAT, version=VERSION, conventions=_CONVENTIONS)
+        _write(file, table, compressed)
         file.flush()
         image = file.id.get_file_image()
     with atomic(path) as temporary:
@@ -142,17 +129,43 @@ def read(path: Path) -> Table:
         ) from error
 
 
-Compressed = Mapping[str, Any]
+Compressed = Mapping[str, Mapping[str, Any]]
 
 
-def _write_scale(file: h5py.File, name: str, data: NDArray, unit: str) -> None:
-    file[name] = data
-    file[name].make_scale(name)
+def _write(group: h5py.Group, table: Table, compressed: Compressed | None, path: str = "") -> None:
+    """Write a table and its parts into the file, or a part into its group."""
+    content = None if compressed is None else compressed[path]
+    group.attrs.update(ledger=json.dumps(dict(table.ledger)), provenance=json.dumps(dict(table.provenance)))
+    for name, unit in _SCALES.items():
+        if (axis := getattr(table, name)) is not None:
+            _write_scale(group, name, axis, unit)
+    _write_scale(group, "channel", np.array(table.channels, h5py.string_dtype()), "")
+    for name, (axes, unit) in _DATA.items():
+        data = getattr(table, name)
+        if data is None or (name == "values" and content is not None):
+            continue
+        _write_data(group, name, np.asarray(data), axes, unit)
+    if content is not None:
+        inner = group.create_group("compressed")
+        for name, item in content.items():
+            if isinstance(item, np.ndarray):
+                inner[name] = item
+            else:
+                inner.attrs[name] = item
+    if table.parts:
+        parts = group.create_group("parts", track_order=True)
+        for name, part in table.parts.items():
+            _write(parts.create_group(name), part, compressed, f"{path}/{name}".lstrip("/"))
+
+
+def _write_scale(group: h5py.Group, name: str, data: NDArray, unit: str) -> None:
+    group[name] = data
+    group[name].make_scale(name)
     if unit:
-        file[name].attrs["units"] = unit
+        group[name].attrs["units"] = unit
 
 
-def _write_data(file: h5py.File, name: str, data: NDArray, axes: tuple[str, ...], unit: str) -> None:
+def _write_data(group: h5py.Group, name: str, data: NDArray, axes: tuple[str, ...], unit: str) -> None:
     options: dict[str, Any] = {}
     if data.ndim >= 2:
         # One row of incidence a chunk, as large as one is read at a time. Level 1: level 4 saves 2 % more.
@@ -160,11 +173,11 @@ def _write_data(file: h5py.File, name: str, data: NDArray, axes: tuple[str, ...]
         options = {"chunks": chunks, "shuffle": True, "compression": "gzip", "compression_opts": 1}
     if data.dtype == bool:
         data = data.astype(np.uint8)
-    dataset = file.create_dataset(name, data=data, **options)
+    dataset = group.create_dataset(name, data=data, **options)
     dataset.attrs["units"] = unit
     for axis, scale in enumerate(axes):
         dataset.dims[axis].label = scale
-        dataset.dims[axis].attach_scale(file[scale])
+        dataset.dims[axis].attach_scale(group[scale])
 
 
 def _check_format(file: h5py.File, path: Path) -> None:
@@ -183,37 +196,68 @@ def _check_format(file: h5py.File, path: Path) -> None:
         raise InputError(f"{path}: table version {version} is newer than {VERSION}, update gonio to read it")
 
 
-def _read(file: h5py.File, path: Path) -> Table:
+def _read(group: h5py.Group, path: Path, where: str = "") -> Table:
+    """The table in the file or in the group of a part, whose place `where` ends in a slash."""
     fields: dict[str, Any] = {}
-    compressed = "compressed" in file
+    compressed = "compressed" in group
     kinds = {"hits": "iu", "gaps": "iub"}
     for name in ("theta_i", "theta_i_edges", "theta_r_edges", "delta_phi_edges", *_DATA):
         if name == "values" and compressed:
             continue
-        if name not in file:
+        if name not in group:
             if name in _OPTIONAL:
                 continue
-            raise InputError(f"{path}: dataset {name} is missing; the file is incomplete, trace it again")
-        fields[name] = _read_array(file[name], name, path, kinds.get(name, "fiu"))
-    fields["channels"] = _read_channels(file, path)
+            raise InputError(
+                f"{path}: dataset {where}{name} is missing; the file is incomplete, trace it again"
+            )
+        fields[name] = _read_array(group[name], where + name, path, kinds.get(name, "fiu"))
+    fields["channels"] = _read_channels(group, path, where)
     for name in ("ledger", "provenance"):
         try:
-            fields[name] = json.loads(file.attrs.get(name, "{}"))
+            fields[name] = json.loads(group.attrs.get(name, "{}"))
         except (TypeError, ValueError):
             fields[name] = None
         if not isinstance(fields[name], dict):
-            raise InputError(f"{path}: attribute {name} is no JSON object; copy or trace the file again")
+            raise InputError(
+                f"{path}: attribute {where}{name} is no JSON object; copy or trace the file again"
+            )
     if compressed:
         from gonio.table.compress import decode  # which writes through this module
 
-        group = file["compressed"]
-        content = dict(group.attrs)
-        for name, item in group.items():
-            content[name] = _read_array(item, f"compressed/{name}", path, "fiu")
-        fields["values"] = decode(content, fields)
+        inner = _child(group, "compressed", path, where)
+        content = dict(inner.attrs)
+        for name, item in inner.items():
+            content[name] = _read_array(item, f"{where}compressed/{name}", path, "fiu")
+        with _at(where):
+            fields["values"] = decode(content, fields)
     if (wavelengths := fields.get("wavelengths_nm")) is not None:
         fields["wavelengths_nm"] = tuple(np.ravel(wavelengths).tolist())
-    return Table(**fields)
+    if "parts" in group:
+        fields["parts"] = _read_parts(_child(group, "parts", path, where), path, f"{where}parts/")
+    with _at(where):
+        return Table(**fields)
+
+
+def _read_parts(parts: h5py.Group, path: Path, where: str) -> dict[str, Table]:
+    if (where.count("/") + 1) // 2 > _MAX_DEPTH:
+        raise InputError(f"{path}: {where}: parts in parts, {_MAX_DEPTH} deep; trace the file again")
+    return {name: _read(_child(parts, name, path, where), path, f"{where}{name}/") for name in parts}
+
+
+@contextmanager
+def _at(where: str) -> Iterator[None]:
+    """Put the place in the file in front of errors that only know the field."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{where}{error}") from error
+
+
+def _child(group: h5py.Group, name: str, path: Path, where: str) -> h5py.Group:
+    child = group[name]
+    if not isinstance(child, h5py.Group):
+        raise InputError(f"{path}: {where}{name} is a dataset; a group is expected; trace the file again")
+    return child
 
 
 def _read_array(dataset: Any, name: str, path: Path, kinds: str) -> NDArray:
@@ -226,11 +270,19 @@ def _read_array(dataset: Any, name: str, path: Path, kinds: str) -> NDArray:
             f"{path}: dataset {name} claims shape {dataset.shape}, more than a file of "
             f"{path.stat().st_size} bytes can hold; copy or trace the file again"
         )
-    return dataset[()]
+    try:
+        return dataset[()]
+    except OSError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"{path}: dataset {name} is damaged or truncated ({reason}); copy or trace the file again"
+        ) from error
 
 
-def _read_channels(file: h5py.File, path: Path) -> tuple[str, ...]:
-    dataset = file.get("channel")
+def _read_channels(group: h5py.Group, path: Path, where: str) -> tuple[str, ...]:
+    dataset = group.get("channel")
     if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind != "O" or dataset.ndim != 1:
-        raise InputError(f"{path}: dataset channel is missing or not a list of names; trace the file again")
+        raise InputError(
+            f"{path}: dataset {where}channel is missing or not a list of names; trace the file again"
+        )
     return tuple(dataset.asstr()[()])

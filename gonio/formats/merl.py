@@ -216,6 +216,8 @@ def _lost(table: Table) -> list[str]:
         losses.append("the delta (mirror) term: MERL cannot hold it")
     if table.wavelengths_nm is not None:
         losses.append("wavelengths: MERL's channels are R, G and B")
+    if table.parts:
+        losses.append(f"the parts {', '.join(table.parts)}: MERL holds one table of reflection")
     if len(table.channels) == 1:
         losses.append("nothing of the one channel: it is written as R, G and B")
     return [*losses, "provenance, ledger and the grid of the rows"]

@@ -18,6 +18,9 @@ from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
 
+# What parts have in common with their table
+_SHARED = ("theta_i", "theta_i_edges", "theta_r_edges", "delta_phi_edges", "channels", "wavelengths_nm")
+
 
 @dataclass(frozen=True, eq=False)
 class Table:
@@ -56,10 +59,15 @@ class Table:
         One a channel, where the channels are (or stand for) wavelengths.
     ledger : mapping of str to float
         Where the energy went: paths, reflected, transmitted, absorbed, killed, lost (in units of
-        incident energy, mean over channels).
+        incident energy, mean over channels), and "absorbed: <what>", whose sum is absorbed.
     provenance : mapping
         What was measured and how; any JSON: specimen text, seed, versions, command, estimator,
         batches, seconds, surface statistics.
+    parts : mapping of str to Table
+        Light of one kind each, on the same grid and channels: "transmission" (what left below: theta_r is
+        then the angle from -z, delta phi = pi is straight through, row_albedo the transmittance) and, by
+        number of bounces, "L1", "L2", ..., "L<K>+", which add up to this table. Parts have parts of their
+        own; names and access are in `gonio.table.parts`.
 
     Raises
     ------
@@ -83,6 +91,7 @@ class Table:
     wavelengths_nm: tuple[float, ...] | None = None
     ledger: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    parts: Mapping[str, Table] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         shape = np.shape(self.values)
@@ -131,6 +140,8 @@ class Table:
                     f"wavelengths_nm: {self.wavelengths_nm}; {channels} positive numbers are expected"
                 )
         self._check_rows()
+        object.__setattr__(self, "parts", dict(self.parts))
+        self._check_parts()
 
     def _check_axis(self, name: str, first: float, last: float) -> None:
         edges = getattr(self, name)
@@ -148,6 +159,19 @@ class Table:
                 raise InputError(
                     f"{name}: must increase within 0 to pi/2 radians, found {angles[0]} to {angles[-1]}"
                 )
+
+    def _check_parts(self) -> None:
+        for name, part in self.parts.items():
+            if not isinstance(name, str) or name in ("", ".") or "/" in name:
+                raise InputError(f"parts: the name {name!r}; a word without slashes is expected")
+            if not isinstance(part, Table):
+                raise InputError(f"parts/{name}: {type(part).__name__}; a Table is expected")
+            for field_name in _SHARED:
+                # None, tuples and arrays alike
+                if not np.array_equal(getattr(part, field_name), getattr(self, field_name)):
+                    raise InputError(
+                        f"parts/{name}: {field_name} is not the table's; a part is on the same grid and channels"
+                    )
 
     @property
     def theta_r(self) -> Array:

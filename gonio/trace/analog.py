@@ -6,28 +6,84 @@ It assumes nothing; every other estimator is proven against it.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.core.directions import cos_delta_phi
-from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, PACKET_WIDTH, new_packet
+from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, PACKET_WIDTH, new_packet, new_ray
 from gonio.core.jit import kernel
-from gonio.core.lookup import find
+from gonio.core.lookup import Axis, find
 from gonio.core.philox import uniforms
-from gonio.trace.transport import KILLED, LOST, REFLECTED, start_packet, trace_packet
+from gonio.trace.interface import SCRATCH_ROWS
+from gonio.trace.layered import trace_path
+from gonio.trace.stack import UNIT, WIDTH_X, WIDTH_Y
+from gonio.trace.transport import REFLECTED, TRANSMITTED, start_packet, trace_packet
 
-# Columns of a ledger row, in units of incident energy (mean over channels); RAYS counts Embree's rays.
+# Columns of a ledger row, in units of incident energy (mean over channels); RAYS counts Embree's rays. Then,
+# for stacks of layers, what is absorbed at each layer's surface and in the medium below it. A path that
+# ended with status s belongs to column s - 1.
 LEDGER = ("reflected", "transmitted", "absorbed", "killed", "lost")
-LEDGER_REFLECTED, LEDGER_TRANSMITTED, LEDGER_ABSORBED, LEDGER_KILLED, LEDGER_LOST, RAYS = range(6)
-LEDGER_COLUMNS = 6
+ABSORBED_COLUMN = LEDGER.index("absorbed")
+RAYS = len(LEDGER)
+LEDGER_COLUMNS = RAYS + 1
+
+_PERIODS = 1 << 20  # so many tiles of the first layer a path may start over, against those of other periods
+
+
+class Bins(NamedTuple):
+    """How exits are told apart."""
+
+    theta: Axis
+    """Edges of sin^2 theta_r."""
+    phi: Axis
+    """Edges of -cos(delta phi)."""
+    orders: int
+    """Numbers of bounces told apart; the last collects all beyond."""
+    share: NDArray[np.float64]
+    """(S,) weights that turn the energies of the samples into the mean over the table's channels."""
+
+
+class Sums(NamedTuple):
+    """Where a unit of work adds its exits; see `gonio.trace.tally`."""
+
+    cells: NDArray[np.float64]
+    """(sheets, R * P, C + 1): the sum of weights in each channel, and the number of paths, of each cell."""
+    specular: NDArray[np.float64]
+    """(sheets, C): energy in exactly the mirror direction, or straight through."""
+    energy: NDArray[np.float64]
+    """(sheets, C): all energy, the above included."""
+    ledger: NDArray[np.float64]
+    """(LEDGER_COLUMNS + ...,)"""
+
+
+class Beam(NamedTuple):
+    """Incident light of one row: directions uniform in sin^2 theta_i, that is in projected solid angle."""
+
+    row: int
+    """Part of the random numbers' counter."""
+    sin2_lower: float
+    sin2_upper: float
+    """Equal bounds are one angle exactly."""
+
+
+class Part(NamedTuple):
+    """Which of a row's packets to trace: a stratum of the tile each, 16 paths in 4 x 4 strata of it."""
+
+    strata_x: int
+    strata_y: int
+    """Powers of two with strata_y = strata_x or 2 strata_x (Morton order)."""
+    first: int
+    last: int
+    """Strata first ... last - 1."""
 
 
 @kernel
-def trace_unit(
-    embree, box, coherent, eta_k, albedo, row, sin2_lower, sin2_upper, theta_axis, phi_axis, strata_x, strata_y,
-    first, last, seed, batch, max_bounces, cells, specular, reflected, ledger,
+def trace_surface(
+    embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, sums
 ):  # fmt: skip
-    """Trace packets first ... last - 1 of the strata_x x strata_y of one row, binned by where they leave.
+    """Trace packets over one opaque surface and bin them by where they leave.
 
     Parameters
     ----------
@@ -37,78 +93,148 @@ def trace_unit(
         As in `trace_packet`.
     eta_k, albedo : ndarray or None
         As in `gonio.trace.scene.Optics`.
-    row : int
-        Index of the row: part of the random numbers' counter.
-    sin2_lower, sin2_upper : float
-        The row's range of sin^2 theta_i; directions are drawn uniformly in it, that is in proportion to
-        projected solid angle. Equal bounds are one angle exactly.
-    theta_axis, phi_axis : Axis
-        Edges of sin^2 theta_r and of -cos(delta phi), both increasing.
-    strata_x, strata_y : int
-        Packets over the tile, powers of two with strata_y = strata_x or 2 strata_x (Morton order).
-    first, last : int
-        Which of them.
+    to_channels : ndarray or None, shape (C, S)
+        From the samples traced to the table's channels; None where they are the same.
+    bins : Bins
+    beam : Beam
+    part : Part
     seed, batch, max_bounces : int
-    cells : ndarray, shape (R * P, C + 1)
-        Added to: the sum of weights in each channel, and the number of paths, of each cell.
-    specular, reflected : ndarray, shape (C,)
-        Added to: energy in exactly the mirror direction; all energy reflected.
-    ledger : ndarray, shape (LEDGER_COLUMNS,)
+    sums : Sums
         Added to.
     """
-    channels = specular.shape[0]
-    sectors = phi_axis.edges.shape[0] - 1
-    packets = strata_x * strata_y
-    dx = box.width_x / (4 * strata_x)
-    dy = box.width_y / (4 * strata_y)
+    samples = bins.share.shape[0]
+    packets = part.strata_x * part.strata_y
+    dx = box.width_x / (4 * part.strata_x)
+    dy = box.width_y / (4 * part.strata_y)
     packet = new_packet()
-    weight = np.empty((PACKET_WIDTH, channels))
-    absorbed = np.zeros(channels)
+    weight = np.empty((PACKET_WIDTH, samples))
+    polarisation = None if eta_k is None else np.empty((PACKET_WIDTH, samples, 3))
+    axis = None if eta_k is None else np.empty((PACKET_WIDTH, 3))
+    absorbed = np.zeros(samples)
     bounces = np.zeros(PACKET_WIDTH, np.int64)
     status = np.zeros(PACKET_WIDTH, np.int64)
-    for k in range(first, last):
-        path = (row * packets + k) * PACKET_WIDTH
+    for k in range(part.first, part.last):
+        path = (beam.row * packets + k) * PACKET_WIDTH
         u, v, _, _ = uniforms(path, path >> 32, 0, 1, seed, batch)
-        sin2_i = sin2_lower + u * (sin2_upper - sin2_lower)
-        sin_i = math.sqrt(sin2_i)
-        phi_i = 2.0 * math.pi * v
-        wi = (sin_i * math.cos(phi_i), sin_i * math.sin(phi_i), math.sqrt(1.0 - sin2_i))
-        i, j = _morton(k)
+        wi = _incident(beam, u, v)
+        i, j = morton(k)
         start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, batch, path)
         mirror_x, mirror_y = packet[DIR_X, 0], packet[DIR_Y, 0]
-        ledger[RAYS] += trace_packet(
+        sums.ledger[RAYS] += trace_packet(
             embree, box, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path,
-            weight, bounces, status, absorbed,
+            weight, polarisation, axis, bounces, status, absorbed,
         )  # fmt: skip
         for lane in range(PACKET_WIDTH):
-            energy = weight[lane].sum() / channels
-            if status[lane] == KILLED:
-                ledger[LEDGER_KILLED] += energy
-            elif status[lane] == LOST:
-                ledger[LEDGER_LOST] += energy
-            elif status[lane] == REFLECTED:
-                ledger[LEDGER_REFLECTED] += energy
-                x, y, z = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
-                for channel in range(channels):
-                    reflected[channel] += weight[lane, channel]
-                # a facet parallel to the macroscopic plane leaves these two components untouched, to
-                # the bit; no other path ends so but by a chance of 1e-14
-                if albedo is None and x == mirror_x and y == mirror_y:
-                    for channel in range(channels):
-                        specular[channel] += weight[lane, channel]
-                    continue
-                wo = (float(x), float(y), float(z))
-                sin2_r = (wo[0] * wo[0] + wo[1] * wo[1]) / (wo[0] * wo[0] + wo[1] * wo[1] + wo[2] * wo[2])
-                ring = find(theta_axis, sin2_r)
-                cell = ring * sectors + find(phi_axis, -cos_delta_phi(wi, wo))
-                for channel in range(channels):
-                    cells[cell, channel] += weight[lane, channel]
-                cells[cell, channels] += 1.0
-    ledger[LEDGER_ABSORBED] += absorbed.sum() / channels
+            x, y, z = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
+            # a facet parallel to the macroscopic plane leaves these two components untouched, to the bit;
+            # no other path ends so but by a chance of 1e-14
+            delta = albedo is None and x == mirror_x and y == mirror_y
+            wo = (float(x), float(y), float(z))
+            _count(to_channels, bins, sums, wi, wo, status[lane], bounces[lane], delta, weight[lane])
+    sums.ledger[ABSORBED_COLUMN] += np.dot(bins.share, absorbed)
 
 
 @kernel
-def _morton(k):
+def trace_stack(
+    zones, facets, tables, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums
+):
+    """Trace paths through a stack of layers and bin them by where they leave.
+
+    Parameters
+    ----------
+    zones : Zones
+    facets : Facets
+    tables : Pool or None
+    media : Media
+    polarised : bool
+        As in `gonio.trace.stack.Stack`.
+    to_channels, bins, beam, part, seed, batch, max_bounces, sums
+        As in `trace_surface`.
+    """
+    samples = bins.share.shape[0]
+    packets = part.strata_x * part.strata_y
+    ray = new_ray()
+    light = np.empty((samples, 4))
+    weight = np.empty(samples)
+    scratch = np.empty((SCRATCH_ROWS, samples))
+    absorbed = np.zeros(sums.ledger.shape[0] - LEDGER_COLUMNS)
+    # a plane has no period: start anywhere
+    first = 0
+    while first < zones.scene.shape[0] - 1 and zones.box[first, WIDTH_X] == math.inf:
+        first += 1
+    plane = zones.box[first, WIDTH_X] == math.inf
+    width_x = 1.0 if plane else zones.box[first, WIDTH_X] * zones.box[first, UNIT]
+    width_y = 1.0 if plane else zones.box[first, WIDTH_Y] * zones.box[first, UNIT]
+    dx = width_x / (4 * part.strata_x)
+    dy = width_y / (4 * part.strata_y)
+    for k in range(part.first, part.last):
+        i, j = morton(k)
+        for lane in range(PACKET_WIDTH):
+            path = (beam.row * packets + k) * PACKET_WIDTH + lane
+            u, v, a, b = uniforms(path, path >> 32, 0, 0, seed, batch)
+            x = (4 * i + lane // 4 + u) * dx + width_x * math.floor(a * _PERIODS)
+            y = (4 * j + lane % 4 + v) * dy + width_y * math.floor(b * _PERIODS)
+            u, v, _, _ = uniforms(path, path >> 32, 0, 1, seed, batch)
+            wi = _incident(beam, u, v)
+            status, wo, bounces, straight, rays = trace_path(
+                zones, facets, tables, media, bins.share, polarised, (-wi[0], -wi[1], -wi[2]), x, y,
+                max_bounces, seed, batch, path, ray, light, scratch, absorbed,
+            )  # fmt: skip
+            sums.ledger[RAYS] += rays
+            for s in range(samples):
+                weight[s] = light[s, 0]
+            _count(to_channels, bins, sums, wi, wo, status, bounces, straight, weight)
+    for column in range(absorbed.shape[0]):
+        sums.ledger[LEDGER_COLUMNS + column] += absorbed[column]
+        sums.ledger[ABSORBED_COLUMN] += absorbed[column]
+
+
+@kernel(allocates=False)
+def _incident(beam, u, v):
+    """Direction to the light from two uniform numbers."""
+    sin2 = beam.sin2_lower + u * (beam.sin2_upper - beam.sin2_lower)
+    sine = math.sqrt(sin2)
+    phi = 2.0 * math.pi * v
+    return sine * math.cos(phi), sine * math.sin(phi), math.sqrt(1.0 - sin2)
+
+
+@kernel(allocates=False)
+def _count(to_channels, bins, sums, wi, wo, status, bounces, delta, weight):
+    """Add what is left of one path (`weight`, shape (S,)) to where it ended."""
+    energy = 0.0
+    for s in range(weight.shape[0]):
+        energy += bins.share[s] * weight[s]
+    sums.ledger[status - 1] += energy
+    if status != REFLECTED and status != TRANSMITTED:
+        return
+    sheet = min(bounces, bins.orders) - 1
+    if sheet < 0:  # straight through layers that do nothing
+        sheet = 0
+    if status == TRANSMITTED:
+        sheet += bins.orders
+    sectors = bins.phi.edges.shape[0] - 1
+    length2 = wo[0] * wo[0] + wo[1] * wo[1] + wo[2] * wo[2]
+    ring = find(bins.theta, (wo[0] * wo[0] + wo[1] * wo[1]) / length2)
+    cell = ring * sectors + find(bins.phi, -cos_delta_phi(wi, wo))
+    channels = sums.energy.shape[1]
+    for channel in range(channels):
+        if to_channels is None:
+            w = weight[channel]
+        else:
+            w = 0.0
+            for s in range(weight.shape[0]):
+                w += to_channels[channel, s] * weight[s]
+        sums.energy[sheet, channel] += w
+        if delta:
+            sums.specular[sheet, channel] += w
+        else:
+            sums.cells[sheet, cell, channel] += w
+    if not delta:
+        sums.cells[sheet, cell, channels] += 1.0
+
+
+@kernel
+def morton(k):
     """Place of packet k: x from its odd bits, y from its even ones."""
     i = 0
     j = 0

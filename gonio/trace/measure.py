@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import time
-from dataclasses import asdict
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,23 +14,20 @@ from gonio.core.lookup import axis
 from gonio.core.parallel import check_threads, for_each
 from gonio.progress import Report
 from gonio.table.checks import relative_noise
+from gonio.table.parts import TRANSMISSION, order_names
 from gonio.table.table import Table
-from gonio.trace.analog import trace_unit
+from gonio.trace.analog import Beam, Bins, Part, Sums
 from gonio.trace.errors import TraceError
-from gonio.trace.scene import TraceScene, pack_optics
-from gonio.trace.tally import Tally
+from gonio.trace.tally import SheetTally, Tally
+from gonio.trace.tracer import Tracer
 from microgeometry.errors import InputError
 from microgeometry.specimen import Specimen
-from microgeometry.tile import SurfaceStatistics
 
 MIN_BATCHES = 32
-MAX_BOUNCES = 256
 LOST_LIMIT = 1e-6
 _UNITS = 32  # units of work in a batch, at least: enough for any desktop's threads to share evenly
 _MAX_PACKETS = 1 << 16  # of 16 paths, per row and batch
-_STATISTICS_TILES = 8  # realisations whose facets are measured
 _DEFAULT_RAYS = 20_000_000
-_COHERENT_FACETS = 8  # facets per path of a row below which coherent packets are faster (measured)
 _TRIAL_RATE = 2e6  # paths/s assumed when a time is given, to choose the size of a batch
 
 
@@ -50,6 +45,14 @@ class Measurement:
         Everything drawn depends on it, on the batch and on the path, and on nothing else.
     threads : int, optional
         Default: one a processor. The result does not depend on it.
+
+    Attributes
+    ----------
+    tracer : Tracer
+        How the specimen is traced.
+    tally : Tally
+    seconds, trace_seconds : float
+        Spent in all, and of these in the kernel.
 
     Raises
     ------
@@ -71,8 +74,6 @@ class Measurement:
         self._theta_edges = np.radians(np.linspace(0, 90, round(90 / grid.theta_step_deg) + 1))
         self._phi_edges = np.radians(np.linspace(0, 180, round(180 / grid.phi_step_deg) + 1))
         sin2_edges = np.sin(self._theta_edges) ** 2
-        self._theta_axis = axis(sin2_edges)
-        self._phi_axis = axis(-np.cos(self._phi_edges))
         if grid.theta_i_deg is None:
             self._theta_i_edges: NDArray[np.float64] | None = self._theta_edges
             self._theta_i = 0.5 * (self._theta_edges[1:] + self._theta_edges[:-1])
@@ -81,7 +82,6 @@ class Measurement:
             self._theta_i_edges = None
             self._theta_i = np.radians(grid.theta_i_deg)
             self._sin2 = np.sin(self._theta_i) ** 2, np.sin(self._theta_i) ** 2
-        self._optics = pack_optics(specimen.material)
         rows = len(self._theta_i)
         exponent = 0
         while 16 * rows * 2 ** (exponent + 1) * MIN_BATCHES <= rays and 2 ** (exponent + 1) <= _MAX_PACKETS:
@@ -89,15 +89,21 @@ class Measurement:
         self._strata = 2 ** (exponent // 2), 2 ** (exponent - exponent // 2)
         self.paths_per_batch = 16 * rows * 2**exponent
         self.planned_batches = max(MIN_BATCHES, -(-rays // self.paths_per_batch))
+        self.tracer = Tracer(specimen, seed, self.paths_per_batch // rows)
+        self._bins = Bins(
+            axis(sin2_edges), axis(-np.cos(self._phi_edges)), grid.orders, self.tracer.stack.share
+        )
         self.tally = Tally(
             rows,
             (len(self._theta_edges) - 1) * (len(self._phi_edges) - 1),
             len(grid.channels),
             max(1, -(-_UNITS // rows)),
+            self.tracer.hemispheres,
+            grid.orders,
+            self.tracer.ledger_names,
         )
         self.seconds = 0.0
         self.trace_seconds = 0.0  # of which in the kernel
-        self._statistics: list[SurfaceStatistics] = []
 
     def add_batch(self) -> None:
         """Trace one more batch; on a random surface, a new realisation of it.
@@ -109,10 +115,8 @@ class Measurement:
         """
         started = time.perf_counter()
         batch = self.tally.batches
-        scene = self._scene(batch)
-        paths_per_row = self.paths_per_batch // len(self._theta_i)
-        coherent = paths_per_row * _COHERENT_FACETS >= scene.facets
-        cells, specular, reflected, ledger = self.tally.accumulators
+        realisation = self.tracer.realise(batch)
+        cells, specular, energy, ledger = self.tally.accumulators
         rows, chunks = cells.shape[:2]
         packets = self._strata[0] * self._strata[1]
 
@@ -120,17 +124,15 @@ class Measurement:
             # neighbouring rows cost alike: deal them out, chunk by chunk
             chunk, row = divmod(unit, rows)
             place = row, chunk
-            trace_unit(
-                scene.embree, scene.box, coherent, self._optics.eta_k, self._optics.albedo, row,
-                self._sin2[0][row], self._sin2[1][row], self._theta_axis, self._phi_axis, *self._strata,
-                chunk * packets // chunks, (chunk + 1) * packets // chunks, self.seed, batch, MAX_BOUNCES,
-                cells[place], specular[place], reflected[place], ledger[place],
-            )  # fmt: skip
+            beam = Beam(row, float(self._sin2[0][row]), float(self._sin2[1][row]))
+            part = Part(*self._strata, chunk * packets // chunks, (chunk + 1) * packets // chunks)
+            sums = Sums(cells[place], specular[place], energy[place], ledger[place])
+            realisation.trace(self._bins, beam, part, batch, sums)
 
         tracing = time.perf_counter()
         for_each(trace, rows * chunks, self._threads)
         self.trace_seconds += time.perf_counter() - tracing
-        self.tally.close_batch(paths_per_row, self._threads)
+        self.tally.close_batch(self.paths_per_batch // rows, self._threads)
         self.seconds += time.perf_counter() - started
         self._check_lost(1e-3)
 
@@ -146,17 +148,34 @@ class Measurement:
             raise TraceError("no batch was traced yet: there is no table; trace at least one")
         self._check_lost(LOST_LIMIT)
         grid = self.specimen.grid
+        ledger, provenance = dict(self.tally.ledger), self._provenance()
+        hemispheres = []
+        for total, orders in zip(self.tally.totals, self.tally.orders, strict=True):
+            parts = {
+                name: self._sheet(sheet, {}, {}, {})
+                for name, sheet in zip(order_names(grid.orders), orders, strict=True)
+            }
+            hemispheres.append((total, parts))
+        transmission = {TRANSMISSION: self._sheet(*hemispheres[1], {}, {})} if len(hemispheres) > 1 else {}
+        total, parts = hemispheres[0]
+        table = self._sheet(total, {**transmission, **parts}, ledger, provenance)
+        variance = float(np.median(relative_noise(table))) ** 2
+        merit = 1.0 / (variance * self.seconds) if variance > 0 else None
+        return table.replace(provenance={**table.provenance, "figure_of_merit": merit})
+
+    def _sheet(
+        self, sheet: SheetTally, parts: dict[str, Table], ledger: dict[str, float], provenance: dict[str, Any]
+    ) -> Table:
+        """The table of one sheet, or of a hemisphere's sum of them."""
+        grid = self.specimen.grid
         omega = projected_solid_angles(self._theta_edges, self._phi_edges)
-        values, std_error = self.tally.cells(omega.ravel())
+        values, std_error = sheet.cells(omega.ravel())
         shape = (len(self._theta_i), *omega.shape)
-        albedo, albedo_error, specular, specular_error = self.tally.rows()
-        hits = self.tally.hits.reshape(shape)
-        values = values.reshape(*shape, -1)
-        std_error = std_error.reshape(*shape, -1)
-        table = Table(
-            values=values,
-            std_error=std_error,
-            hits=hits,
+        albedo, albedo_error, specular, specular_error = sheet.rows()
+        return Table(
+            values=values.reshape(*shape, -1),
+            std_error=std_error.reshape(*shape, -1),
+            hits=sheet.hits.reshape(shape),
             theta_i=self._theta_i,
             theta_i_edges=self._theta_i_edges,
             theta_r_edges=self._theta_edges,
@@ -167,43 +186,33 @@ class Measurement:
             albedo_std_error=albedo_error,
             specular=specular,
             specular_std_error=specular_error,
-            ledger=dict(self.tally.ledger),
-            provenance=self._provenance(),
+            ledger=ledger,
+            provenance=provenance,
+            parts=parts,
         )
-        variance = float(np.median(relative_noise(table))) ** 2
-        merit = 1.0 / (variance * self.seconds) if variance > 0 else None
-        return table.replace(provenance={**table.provenance, "figure_of_merit": merit})
-
-    def _scene(self, batch: int) -> TraceScene:
-        if not self.specimen.surface.is_random:
-            return self._fixed_scene
-        tile = self.specimen.surface.realise(_realisation_seed(self.seed, batch))
-        if len(self._statistics) < _STATISTICS_TILES:
-            self._statistics.append(tile.statistics())
-        return TraceScene(tile)
-
-    @cached_property
-    def _fixed_scene(self) -> TraceScene:
-        tile = self.specimen.surface.realise(0)
-        self._statistics.append(tile.statistics())
-        return TraceScene(tile)
 
     def _check_lost(self, limit: float) -> None:
         lost, paths = self.tally.ledger["lost"], self.tally.ledger["paths"]
         if lost > max(1.0, limit * paths):
             raise TraceError(
                 f"{self.specimen.name}: {lost:.0f} of {paths:.0f} paths were lost ({lost / paths:.2g}; at most "
-                f"{limit:g} may be): they fell through the surface. The mesh has holes, a rim that does not meet "
-                "the opposite one, or faces wound clockwise seen from outside; close it, tile it by mirroring "
-                '(tiling = "mirror"), or turn its faces over'
+                f"{limit:g} may be): they fell through the surface. {self._advice()}"
             )
+
+    def _advice(self) -> str:
+        if len(self.specimen.layers) > 1:
+            return (
+                "Two layers cut through each other, or a mesh is not closed; give the medium between the layers "
+                "more thickness, or close the mesh"
+            )
+        return (
+            "The mesh has holes, a rim that does not meet the opposite one, or faces wound clockwise seen from "
+            'outside; close it, tile it by mirroring (tiling = "mirror"), or turn its faces over'
+        )
 
     def _provenance(self) -> dict[str, Any]:
         paths = self.tally.ledger["paths"]
-        statistics = {
-            name: float(np.mean([asdict(s)[name] for s in self._statistics]))
-            for name in asdict(self._statistics[0])
-        }
+        surfaces = self.tracer.statistics()
         return {
             "name": self.specimen.name,
             "specimen": self.specimen.text,
@@ -211,12 +220,13 @@ class Measurement:
             "estimator": "analog",
             "batches": self.tally.batches,
             "planned_batches": self.planned_batches,
-            "realisations": self.tally.batches if self.specimen.surface.is_random else 1,
+            "realisations": self.tally.batches if self.specimen.is_random else 1,
             "paths": int(paths),
             "rays": self.tally.rays,
             "seconds": self.seconds,
             "paths_per_second": paths / self.seconds,
-            "surface": statistics,
+            "surface": surfaces[0],
+            "surfaces": surfaces,
             "versions": {
                 name: importlib.metadata.version(name) for name in ("gonio", "embreex", "numba", "numpy")
             },
@@ -289,7 +299,3 @@ def run(measurement: Measurement, seconds: float | None, progress: Report | None
             progress(min(1.0, fraction), f"{rate:.1f} M paths/s, albedo to {tally.albedo_error():.1e}")
         if fraction >= 1.0:
             return
-
-
-def _realisation_seed(seed: int, batch: int) -> int:
-    return int(np.random.SeedSequence((seed, batch)).generate_state(1, np.uint64)[0])

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.core.embree import Handle, Scene
-from microgeometry.materials import Conductor, Lambert, Material, Mirror
+from microgeometry.materials import Conductor, Lambert, Mirror
+from microgeometry.specimen import Layer
 from microgeometry.tile import HeightField, Tile, TriangleMesh
 
 # Free space above and below the surface, in tiles: far above float32's resolution, too thin to cost anything.
-_MARGIN = 1e-4
+MARGIN = 1e-4
 
 
 class Box(NamedTuple):
@@ -30,38 +32,66 @@ class Box(NamedTuple):
 
 
 class TraceScene:
-    """A tile ready to trace. Keep it alive while its `embree` handle is in use.
+    """Tiles of one period, ready to trace. Keep it alive while its `embree` handle is in use.
 
     Parameters
     ----------
-    tile : HeightField or TriangleMesh
-        In metres, of any size and anywhere: it is centred in height and scaled to a unit tile in double
-        precision before Embree's single precision sees it.
+    tiles : sequence of HeightField or TriangleMesh
+        In metres, of any size and anywhere: they are centred in height and scaled to a unit tile in double
+        precision before Embree's single precision sees them. Tile g is geometry g.
+    shifts : sequence of float, optional
+        How far each is lifted first, metres.
+
+    Attributes
+    ----------
+    embree : Handle
+    box : Box
+    unit : float
+        Metres in the unit tile's unit of length.
+    centre : float
+        Height, in metres, that the unit tile has as z = 0.
+    facets : int
+        Number of triangles.
     """
 
-    def __init__(self, tile: Tile) -> None:
-        scale = 1.0 / max(tile.size)
+    def __init__(self, tiles: Sequence[Tile], shifts: Sequence[float] | None = None) -> None:
+        heights = [_heights(tile) for tile in tiles]
+        lifts = [0.0] * len(tiles) if shifts is None else shifts
+        low = min(float(z.min()) + lift for z, lift in zip(heights, lifts, strict=True))
+        high = max(float(z.max()) + lift for z, lift in zip(heights, lifts, strict=True))
+        width, depth = tiles[0].size
+        self.unit = max(width, depth)
+        self.centre = 0.5 * (low + high)
+        self.facets = 0
+        scale = 1.0 / self.unit
         self._scene = Scene()
-        if isinstance(tile, HeightField):
-            z = _centred(tile.heights * scale)
-            self._scene.add_grid(periodic_vertices(z, tile.size[0] * scale, tile.size[1] * scale))
-            self.facets = 2 * z.size
-        elif isinstance(tile, TriangleMesh):
-            vertices = (tile.vertices - [*tile.origin, 0.0]) * scale
-            vertices[:, 2] = z = _centred(vertices[:, 2])
-            self._scene.add_triangles(vertices, tile.faces)
-            self.facets = len(tile.faces)
-        else:
-            raise TypeError(f"tile: {type(tile).__name__}; a HeightField or a TriangleMesh is expected")
+        for tile, z, lift in zip(tiles, heights, lifts, strict=True):
+            z = (z - (self.centre - lift)) * scale
+            if isinstance(tile, HeightField):
+                self._scene.add_grid(periodic_vertices(z, width * scale, depth * scale))
+                self.facets += 2 * z.size
+            else:
+                xy = (tile.vertices[:, :2] - tile.origin) * scale
+                self._scene.add_triangles(np.column_stack([xy, z]), tile.faces)
+                self.facets += len(tile.faces)
         self._scene.commit()
         self.embree: Handle = self._scene.handle
+        half = 0.5 * (high - low) * scale
         self.box = Box(
-            np.float32(tile.size[0] * scale),
-            np.float32(tile.size[1] * scale),
-            np.float32(z.max() + _MARGIN),
-            np.float32(z.min() - _MARGIN),
-            np.float32(4 * np.finfo(np.float32).eps * max(1.0, np.ptp(z))),
+            np.float32(width * scale),
+            np.float32(depth * scale),
+            np.float32(half + MARGIN),
+            np.float32(-half - MARGIN),
+            np.float32(4 * np.finfo(np.float32).eps * max(1.0, 2.0 * half)),
         )
+
+
+def _heights(tile: Tile) -> NDArray[np.float64]:
+    if isinstance(tile, HeightField):
+        return tile.heights
+    if isinstance(tile, TriangleMesh):
+        return tile.vertices[:, 2]
+    raise TypeError(f"tile: {type(tile).__name__}; a HeightField or a TriangleMesh is expected")
 
 
 class Optics(NamedTuple):
@@ -71,24 +101,23 @@ class Optics(NamedTuple):
     """
 
     eta_k: NDArray[np.float64] | None
-    """Complex index of a conductor, shape (C, 2)."""
+    """Complex index of a conductor, shape (S, 2)."""
     albedo: NDArray[np.float64] | None
-    """Albedo of a Lambertian facet, shape (C,)."""
+    """Albedo of a Lambertian facet, shape (S,)."""
 
 
-def pack_optics(material: Material) -> Optics:
-    """Pack a specimen's material for the kernels."""
+def pack_optics(layer: Layer) -> Optics | None:
+    """Pack a layer's material, if it is one that `gonio.trace.transport` traces over all of its surface."""
+    material = layer.material
+    if layer.plane is not None:
+        return None
     if isinstance(material, Mirror):
         return Optics(None, None)
     if isinstance(material, Conductor):
         return Optics(np.stack([material.eta, material.k], axis=1).astype(float), None)
     if isinstance(material, Lambert):
         return Optics(None, np.array(material.albedo, float))
-    raise TypeError(f"material: {type(material).__name__}; Mirror, Conductor or Lambert is expected")
-
-
-def _centred(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    return z - 0.5 * (z.min() + z.max())
+    return None
 
 
 def periodic_vertices(z: NDArray[np.float64], width_x: float, width_y: float) -> NDArray[np.float64]:

@@ -1,4 +1,7 @@
-"""Transport of light through one periodic tile: 16 paths at a time, from the plane above it until they leave.
+"""Transport of light over one opaque surface: 16 paths at a time, from the plane above it until they leave.
+
+The fast way for a periodic tile of mirrors, conductors or Lambertian facets; whatever else a specimen can be
+goes through `gonio.trace.layered`.
 
 The packet that Embree traces is itself the state of the 16 paths, in single precision; path weights are
 double. A packet's lanes start beside each other and in one direction; where they lie so close that they
@@ -12,7 +15,7 @@ import math
 
 import numpy as np
 
-from gonio.core.directions import cosine_hemisphere, frame
+from gonio.core.directions import cosine_hemisphere, dot, frame
 from gonio.core.embree import (
     DIR_X,
     DIR_Y,
@@ -34,14 +37,16 @@ from gonio.core.embree import (
     intersect16,
 )  # fmt: skip
 from gonio.core.jit import kernel
-from gonio.core.optics import fresnel_conductor
+from gonio.core.optics import fresnel_amplitudes, fresnel_conductor
 from gonio.core.philox import uniforms
+from gonio.core.stokes import mueller, perpendicular, rotation
 
 # How a path ended. Every path has exactly one of these.
 REFLECTED = 1  # left through the plane above
-ABSORBED = 2  # ended by Russian roulette; its energy is in the ledger's absorbed
-KILLED = 3  # still bouncing at the cap
-LOST = 4  # fell through the surface or wandered without end: numerics, or a hole in the mesh
+TRANSMITTED = 2  # left below
+ABSORBED = 3  # nothing is left of it, or Russian roulette ended it; its energy is in the ledger's absorbed
+KILLED = 4  # still bouncing at the cap
+LOST = 5  # fell through the surface or wandered without end: numerics, or a hole in the mesh
 
 ROULETTE_BOUNCES = 4
 MAX_SEGMENTS = 100_000  # of a path, crossings of the tile's faces included: no path can go on for ever
@@ -97,6 +102,8 @@ def trace_packet(
     batch,
     path,
     weight,
+    polarisation,
+    axis,
     bounces,
     status,
     absorbed,
@@ -118,11 +125,14 @@ def trace_packet(
         A path that would bounce once more is killed.
     seed, batch, path : int
         As in `start_packet`.
-    weight : ndarray, shape (16, C)
+    weight : ndarray, shape (16, S)
         Set to what is left of each path's energy at its end.
+    polarisation, axis : ndarray or None, shapes (16, S, 3) and (16, 3)
+        Work space for Q, U, V of each path and the axis they refer to, where `eta_k` is given: light comes
+        in unpolarised, and every metal facet polarises it.
     bounces, status : ndarray of int64, shape (16,)
         Set to each path's number of bounces and to how it ended.
-    absorbed : ndarray, shape (C,)
+    absorbed : ndarray, shape (S,)
         Energy absorbed is added; Russian roulette takes and gives here, so that the sum over all ends of
         a path is exactly 1.
 
@@ -153,7 +163,7 @@ def trace_packet(
                 packet[T_NEAR, lane] = _ZERO
                 end = _scatter(
                     packet, lane, box.lift, eta_k, albedo, max_bounces, seed, batch, path + lane,
-                    weight, bounces, absorbed,
+                    weight, polarisation, axis, bounces, absorbed,
                 )  # fmt: skip
             else:
                 end = _cross(box, packet, lane)
@@ -206,7 +216,9 @@ def _cross(box, packet, lane):
 
 
 @kernel(allocates=False)
-def _scatter(packet, lane, lift, eta_k, albedo, max_bounces, seed, batch, path, weight, bounces, absorbed):
+def _scatter(
+    packet, lane, lift, eta_k, albedo, max_bounces, seed, batch, path, weight, polarisation, axis, bounces, absorbed
+):  # fmt: skip
     """Turn a path at a hit into a new direction; returns how it ended, or 0 if it goes on."""
     nx, ny, nz = packet[NORMAL_X, lane], packet[NORMAL_Y, lane], packet[NORMAL_Z, lane]
     vx, vy, vz = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
@@ -244,19 +256,46 @@ def _scatter(packet, lane, lift, eta_k, albedo, max_bounces, seed, batch, path, 
             weight[lane, channel] = w * albedo[channel]
             absorbed[channel] += w - weight[lane, channel]
     if eta_k is not None:
-        cosine = min(1.0, -float(d_n))
-        for channel in range(channels):
-            r_s, r_p = fresnel_conductor(cosine, eta_k[channel, 0], eta_k[channel, 1])
-            w = weight[lane, channel]
-            weight[lane, channel] = w * (0.5 * (r_s + r_p))
-            absorbed[channel] += w - weight[lane, channel]
+        v = (float(vx), float(vy), float(vz))
+        n = (float(nx), float(ny), float(nz))
+        _reflect_polarised(
+            v, n, eta_k, bounces[lane] == 1, weight[lane], polarisation[lane], axis[lane], absorbed
+        )
     if (eta_k is not None or albedo is not None) and bounces[lane] >= ROULETTE_BOUNCES:
-        return _roulette(lane, seed, batch, path, weight, bounces, absorbed)
+        return _roulette(lane, eta_k, seed, batch, path, weight, polarisation, bounces, absorbed)
     return 0
 
 
 @kernel(allocates=False)
-def _roulette(lane, seed, batch, path, weight, bounces, absorbed):
+def _reflect_polarised(v, n, eta_k, first, intensity, polarisation, axis, absorbed):
+    """Reflect Stokes vectors at a conductor; what comes from the light is not polarised yet."""
+    cosine = min(1.0, -dot(v, n))
+    across = perpendicular(v, n)
+    if first:
+        for s in range(intensity.shape[0]):
+            r_s, r_p = fresnel_conductor(cosine, eta_k[s, 0], eta_k[s, 1])
+            i = intensity[s]
+            intensity[s] = i * (0.5 * (r_s + r_p))
+            polarisation[s, 0] = i * (0.5 * (r_s - r_p))
+            polarisation[s, 1] = 0.0
+            polarisation[s, 2] = 0.0
+            absorbed[s] += i - intensity[s]
+    else:
+        c, d = rotation((axis[0], axis[1], axis[2]), v, across)
+        for s in range(intensity.shape[0]):
+            r_s, r_p = fresnel_amplitudes(cosine, eta_k[s, 0], eta_k[s, 1])
+            i, q, u = intensity[s], polarisation[s, 0], polarisation[s, 1]
+            intensity[s], polarisation[s, 0], polarisation[s, 1], polarisation[s, 2] = mueller(
+                i, c * q + d * u, c * u - d * q, polarisation[s, 2],
+                r_s.real * r_s.real + r_s.imag * r_s.imag, r_p.real * r_p.real + r_p.imag * r_p.imag,
+                r_s * r_p.conjugate(),
+            )  # fmt: skip
+            absorbed[s] += i - intensity[s]
+    axis[0], axis[1], axis[2] = across
+
+
+@kernel(allocates=False)
+def _roulette(lane, eta_k, seed, batch, path, weight, polarisation, bounces, absorbed):
     """Russian roulette on the strongest channel: survivors carry the energy of those that end here."""
     channels = weight.shape[1]
     survival = 0.0
@@ -274,4 +313,7 @@ def _roulette(lane, seed, batch, path, weight, bounces, absorbed):
         w = weight[lane, channel]
         weight[lane, channel] = w / survival
         absorbed[channel] += w - weight[lane, channel]
+        if eta_k is not None:
+            for i in range(3):
+                polarisation[lane, channel, i] /= survival
     return 0

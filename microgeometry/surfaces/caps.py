@@ -92,9 +92,11 @@ class Caps:
         plane, triangles = _plane_between(outlines, centres, rim, size)
         vertices.append(plane)
         faces.append(triangles + n)
-        tile = cut_to_tile(np.concatenate(vertices), np.concatenate(faces), size)
+        labels = np.zeros(sum(map(len, faces)), np.uint8)
+        labels[-len(triangles) :] = 1
+        tile = cut_to_tile(np.concatenate(vertices), np.concatenate(faces), size, labels)
         periods = (size[0] * self.radius, size[1] * self.radius)
-        return TriangleMesh(tile.vertices * self.radius, tile.faces, (0.0, 0.0), periods)
+        return TriangleMesh(tile.vertices * self.radius, tile.faces, (0.0, 0.0), periods, tile.labels)
 
 
 def arrange(

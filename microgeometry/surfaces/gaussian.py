@@ -19,11 +19,14 @@ from microgeometry.tile import HeightField
 class Gaussian(CorrelatedField):
     r"""Height field with autocorrelation :math:`\rho(r) = e^{-r^2/l^2}`.
 
-    Keys of [surface]: either ``alpha`` (Beckmann roughness, 0.1 is satin, 0.5 rough), or ``rms_height``
-    in ``units`` ("um"); ``correlation_length`` in units (1 if alpha is given: alpha alone fixes the BRDF
-    in geometric optics, which knows no scale; required with rms_height), or two lengths [along x, along y],
-    which stretch the surface and its tile along y; ``samples`` (512) along each side of the tile; and
-    either ``samples_per_correlation_length`` (16) or ``size`` of the tile along x in units.
+    Keys of [surface]:
+
+    - ``alpha`` (Beckmann roughness, 0.1 is satin, 0.5 rough), or ``rms_height`` in ``units`` ("um").
+    - ``correlation_length`` in units: 1 if alpha is given (alpha alone fixes the BRDF in geometric optics,
+      which knows no scale), required with rms_height. Two lengths [along x, along y] stretch the surface and
+      its tile along y; alpha_x / alpha_y is then ly / lx.
+    - ``samples`` (512) along each side of the tile, and ``samples_per_correlation_length`` (16) or ``size`` of
+      the tile along x in units.
 
     On the continuous surface alpha^2 = 2 rms_height^2 (1 / lx^2 + 1 / ly^2), so alpha = 2 rms_height / l if
     the lengths are equal. What is asked for is here the

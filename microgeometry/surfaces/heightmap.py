@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.signal import windows
 from scipy.sparse.linalg import spsolve
 
 from microgeometry.errors import InputError
@@ -21,6 +22,9 @@ from microgeometry.tile import HeightField
 
 LEVEL_DEGREE = {"plane": 1, "curvature": 2, "none": 0}
 """Degree of the polynomial that levelling takes out, by least squares over the measured samples."""
+
+TILINGS = ("mirror", "window", "repeat")
+_TAPER = 0.1  # part of the map on each side that a window tapers
 
 
 @dataclass(frozen=True)
@@ -41,8 +45,11 @@ class HeightMap:
       that is more than half holes is refused anyway.
     - ``tiling``: a measured map is not periodic. "mirror" (default) puts it beside its mirror images, 2 x 2,
       so edges meet exactly: no heights are altered, but the tile is four times as large and as symmetric
-      in its slopes as a mirror makes it; a brushed or blazed surface loses its one-sidedness. "repeat" takes
-      the map as one period as it stands: right for a map that is periodic, else with a cliff along the seam.
+      in its slopes as a mirror makes it; a brushed or blazed surface loses its one-sidedness. "window" brings
+      the heights of the outer tenth on each side down to their mean by a raised cosine (Tukey's window): the
+      tile is as large as the map and keeps its one-sidedness, but 36 % of it is smoother than the surface, and
+      form that levelling left is slope there. "repeat" takes the map as one period as it stands: right for
+      a map that is periodic, else with a cliff along the seam.
 
     x and y run in the order of the file (columns, rows; a .npy is [x, y]): where the instrument counts
     rows downwards, the tile is the surface's mirror image.
@@ -83,7 +90,7 @@ class HeightMap:
             size = (numbers[0] * unit, numbers[1] * unit)
         level = keys.choice("level", "plane", LEVEL_DEGREE)
         holes = keys.choice("holes", "refuse", ("refuse", "fill"))
-        return cls(file, unit, size, level, holes, keys.choice("tiling", "mirror", ("mirror", "repeat")))
+        return cls(file, unit, size, level, holes, keys.choice("tiling", "mirror", TILINGS))
 
     @property
     def n_holes(self) -> int:
@@ -108,6 +115,10 @@ class HeightMap:
             # Sample n-1 and sample 0 stand once each: 0 1 .. n-1 n-2 .. 1, a period of 2 n - 2.
             heights = np.concatenate((heights, heights[-2:0:-1]), axis=0)
             heights = np.concatenate((heights, heights[:, -2:0:-1]), axis=1)
+        elif self.tiling == "window":
+            # Its first value is 0, its last one step above it: the first of the next period.
+            rows, columns = (windows.tukey(n, 2 * _TAPER, sym=False) for n in heights.shape)
+            heights = heights * rows[:, None] * columns
         nx, ny = heights.shape
         return HeightField(heights, (nx * step[0], ny * step[1]))
 

@@ -36,7 +36,11 @@ class Mesh:
       loses its one-sidedness. Repeating a scan leaves open steps along the seam, through which light is
       lost, and the instrument says so: that is why it is not the default to mirror, which fails silently.
 
-    The period is the mesh's bounding rectangle in x and y, moved so that it starts at (0, 0).
+    The period is the mesh's bounding rectangle in x and y, moved so that it starts at (0, 0). Where the mesh
+    stands does not matter, but STL and GLB, and often PLY, store single precision: of a mesh of size 1 at a
+    distance of 1e6, they keep steps of 0.06. OBJ keeps what digits were written.
+
+    Holes and rims that do not meet are not looked for here: the light that falls through them is counted.
 
     Attributes
     ----------

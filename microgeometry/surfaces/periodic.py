@@ -12,12 +12,16 @@ _SNAP = 1e-9
 
 
 def cut_to_tile(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], size: tuple[float, float]
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    size: tuple[float, float],
+    labels: NDArray[np.uint8] | None = None,
 ) -> TriangleMesh:
     """Cut a surface at the faces of the tile and bring what stands out in on the other side.
 
     A surface that is closed over the period stays so, to the bit: the two triangles at an edge are cut at
-    the same point, and each point on a face of the tile has its twin on the opposite one.
+    the same point, and each point on a face of the tile has its twin on the opposite one. Triangles that use
+    a position twice are left out.
 
     Parameters
     ----------
@@ -27,45 +31,39 @@ def cut_to_tile(
         Vertex indices. Each triangle of the period once, wherever it stands.
     size : tuple of float
         Periods (Lx, Ly), metres.
+    labels : ndarray, shape (F,), optional
+        See `TriangleMesh`; the pieces of a triangle keep its label.
     """
     vertices = vertices.copy()
+    parents = np.arange(len(faces))
     for axis, period in enumerate(size):
         for plane in (0.0, period):
             near = np.abs(vertices[:, axis] - plane) < _SNAP * period
             vertices[near, axis] = plane
-            vertices, faces = _cut(vertices, faces, axis, plane)
+            vertices, faces, parents = _cut(vertices, faces, parents, axis, plane)
         middles = vertices[faces, axis].mean(axis=1)
-        shifted = []
-        for shift, here in (
-            (0.0, (middles >= 0.0) & (middles <= period)),
-            (period, middles < 0.0),
-            (-period, middles > period),
-        ):
-            piece = vertices[faces[here]]
-            piece[..., axis] += shift
-            shifted.append(piece.reshape(-1, 3))
-        vertices = np.concatenate(shifted)
-        vertices, index = np.unique(vertices + 0.0, axis=0, return_inverse=True)
-        faces = index.reshape(-1, 3)
-    return merged(vertices, faces, size)
-
-
-def merged(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], size: tuple[float, float]
-) -> TriangleMesh:
-    """Return the tile with one vertex for each position, and no triangle that uses a position twice."""
-    # Adding zero turns -0 into 0, which unique would tell apart from it.
-    vertices, index = np.unique(vertices + 0.0, axis=0, return_inverse=True)
-    faces = index.reshape(-1)[faces]
-    a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
-    return TriangleMesh(vertices, faces.astype(np.int32), (0.0, 0.0), size)
+        shift = np.where(middles < 0.0, 1, 0) - np.where(middles > period, 1, 0)
+        # One vertex for each old one and shift.
+        key, index = np.unique(3 * faces + (1 + shift)[:, None], return_inverse=True)
+        vertices, faces = vertices[key // 3], index.reshape(-1, 3)
+        vertices[:, axis] += (key % 3 - 1) * period
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    whole = (a != b).any(axis=1) & (b != c).any(axis=1) & (c != a).any(axis=1)
+    pieces = None if labels is None else labels[parents[whole]]
+    return TriangleMesh(vertices, faces[whole].astype(np.int32), (0.0, 0.0), size, pieces)
 
 
 def _cut(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], axis: int, plane: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Split the triangles that cross a plane; none of the result has corners on both sides."""
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    parents: NDArray[np.int64],
+    axis: int,
+    plane: float,
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Split the triangles that cross a plane; none of the result has corners on both sides.
+
+    `parents` (F,) is copied to the pieces of a triangle.
+    """
     side = np.sign(vertices[:, axis] - plane).astype(int)
     sides = side[faces]
     crossing = (sides.min(axis=1) < 0) & (sides.max(axis=1) > 0)
@@ -84,7 +82,8 @@ def _cut(
         return known[edge]
 
     pieces: list[tuple[int, int, int]] = []
-    for a, b, c in faces[crossing].tolist():
+    heirs: list[int] = []
+    for (a, b, c), parent in zip(faces[crossing].tolist(), parents[crossing].tolist(), strict=True):
         # Turn it until `a` is alone on its side (or if one corner is on the plane, until it is not first).
         while side[a] == 0 or side[a] == side[b] or side[a] == side[c]:
             a, b, c = b, c, a
@@ -95,11 +94,15 @@ def _cut(
             else:
                 cut = cut_point(c, a)
                 pieces += [(a, b, cut), (b, c, cut)]
+            heirs += 2 * [parent]
         else:
             ab, ca = cut_point(a, b), cut_point(c, a)
             pieces += [(a, ab, ca), (ab, b, c), (ab, c, ca)]
+            heirs += 3 * [parent]
     if not pieces:
-        return vertices, faces
-    if points:
-        vertices = np.concatenate((vertices, points))
-    return vertices, np.concatenate((faces[~crossing], np.array(pieces)))
+        return vertices, faces, parents
+    return (
+        np.concatenate((vertices, points)),
+        np.concatenate((faces[~crossing], np.array(pieces))),
+        np.concatenate((parents[~crossing], np.array(heirs))),
+    )

@@ -142,11 +142,7 @@ class CorrelatedField:
         )
         unit = keys.metres_per_unit()
         alpha, rms_height = read_roughness(keys, unit)
-        lengths: tuple[float, ...] = (1.0,)
-        if rms_height is not None or "correlation_length" in keys:
-            lengths = keys.numbers("correlation_length", above=0)
-        if len(lengths) > 2:
-            raise keys.error("correlation_length", "must be one number, or two: [along x, along y]")
+        lengths = read_lengths(keys, "correlation_length", alpha is None)
         length = lengths[0] * unit
         samples = keys.integer("samples", 512, at_least=32, at_most=8192)
         if "size" in keys and "samples_per_correlation_length" in keys:
@@ -175,6 +171,16 @@ def read_roughness(keys: Keys, unit: float) -> tuple[float | None, float | None]
     if "rms_height" in keys:
         return None, keys.number("rms_height", at_least=0) * unit
     return keys.number("alpha", at_least=0), None
+
+
+def read_lengths(keys: Keys, key: str, required: bool) -> tuple[float, ...]:
+    """Read a length, or two: [along x, along y]. Where it is not required, 1."""
+    if key not in keys and not required:
+        return (1.0,)
+    lengths = keys.numbers(key, above=0)
+    if len(lengths) > 2:
+        raise keys.error(key, "must be one number, or two: [along x, along y]")
+    return lengths
 
 
 def _check_sampling(keys: Keys, key: str, samples: int, per_length: float) -> None:

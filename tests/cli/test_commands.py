@@ -12,6 +12,7 @@ import pytest
 from gonio import Table
 from gonio.cli import main
 from gonio.trace.measure import Measurement
+from tests.table.tables import with_parts
 
 SPEC = """
 [surface]
@@ -69,6 +70,83 @@ def test_info_json(folder):
                  "provenance", "bytes"):  # fmt: skip
         assert name in data
     assert data["bytes"] == (folder / "t.h5").stat().st_size
+    # nothing goes through gold
+    assert not np.any(data["transmittance"])
+    assert not np.any(data["transmittance_std_error"])
+    assert data["parts"] == {}
+
+
+@pytest.fixture(scope="module")
+def split(folder):
+    """The table with transmission, orders of bounces and absorption in layers."""
+    table = with_parts(Table.load(folder / "t.h5").replace(specular=0.01))
+    absorbed = {
+        "absorbed: layer 1 surface": table.ledger["absorbed"] - 12.5,
+        "absorbed: layer 1 medium": 12.5,
+    }
+    table = table.replace(ledger={**table.ledger, **absorbed})
+    table.save(folder / "split.h5")
+    return table
+
+
+def test_info_json_of_parts(folder, split):
+    data = json.loads(gonio("info", "split.h5", "--json", cwd=folder).stdout)
+    below = split.parts["transmission"]
+    assert data["transmittance"] == below.row_albedo.tolist()
+    assert data["transmittance_std_error"] == below.albedo_std_error.tolist()
+    assert list(data["parts"]) == ["transmission", "L1", "L2", "L3+"]
+    for found, part in (
+        (data["parts"]["transmission"], below),
+        (data["parts"]["L2"], split.parts["L2"]),
+        (data["parts"]["transmission"]["parts"]["L3+"], below.parts["L3+"]),
+    ):
+        assert found["albedo"] == part.row_albedo.tolist()
+        assert found["albedo_std_error"] == part.albedo_std_error.tolist()
+        assert found["specular"] == part.specular.tolist()
+        assert list(found["parts"]) == list(part.parts)
+    assert data["ledger"]["absorbed: layer 1 medium"] == 12.5
+
+
+def test_info_of_parts_for_people(folder, split):
+    lines = gonio("info", "split.h5", cwd=folder).stdout.splitlines()
+    below = split.parts["transmission"]
+    at = [n for n, line in enumerate(lines) if line.startswith("theta_i  ")]
+    titles = [lines[n].split("  ")[1] for n in at]
+    assert titles == [
+        "albedo (+- standard error) [specular] in each channel",
+        "albedo by number of bounces, mean over channels",
+        "transmittance (+- standard error) [specular] in each channel",
+        "transmittance by number of bounces, mean over channels",
+    ]
+    row = 4  # of nine rows, all are shown
+    assert f"{below.row_albedo[row, 1]:.5f} +- {below.albedo_std_error[row, 1]:.1e}" in lines[at[2] + 1 + row]
+    for n, whole in ((at[1], split), (at[3], below)):
+        assert lines[n + 1].split() == ["L1", "L2", "L3+"]
+        means = [f"{whole.parts[name].row_albedo[row].mean():.5f}" for name in ("L1", "L2", "L3+")]
+        assert lines[n + 2 + row].split()[1:] == means
+    assert any(line.split() == ["absorbed:", "layer", "1", "medium", "12.5"] for line in lines)
+
+
+def test_convert_a_part(folder, split):
+    whole = gonio("convert", "split.h5", "copy.h5", cwd=folder)
+    assert whole.stdout == "copy.h5: written\n"
+    assert list(Table.load(folder / "copy.h5").parts) == list(split.parts)
+    below = split.parts["transmission"]
+    for part, expected in (("transmission", below), ("transmission/L2", below.parts["L2"])):
+        run = gonio("convert", "split.h5", "part.h5", "--part", part, cwd=folder)
+        assert run.stdout == "part.h5: written\n"
+        table = Table.load(folder / "part.h5")
+        np.testing.assert_array_equal(table.values, expected.values)
+        assert list(table.parts) == list(expected.parts)
+        assert table.provenance["part"] == part
+        assert f"part          {part}" in gonio("info", "part.h5", cwd=folder).stdout
+    run = gonio("convert", "split.h5", "none.h5", "--part", "L4", cwd=folder)
+    assert run.returncode == 2
+    assert run.stderr == (
+        "gonio: split.h5: part: the table has no 'L4'; its parts are: transmission, transmission/L1, "
+        "transmission/L2, transmission/L3+, L1, L2, L3+\n"
+    )
+    assert not (folder / "none.h5").exists()
 
 
 def test_info_for_people(folder):

@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 from gonio import files, formats
+from gonio.table.parts import walk
 from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
-from tests.table.tables import asymmetric, grid, make
+from tests.table.tables import asymmetric, grid, make, with_parts
 
 
 def full_table():
-    """Every field set, none of them trivial."""
+    """Every field set, none of them trivial, and parts of parts."""
     rng = np.random.default_rng(seed_from("full table"))
     table = make(asymmetric, grid(6, 7, 8))
-    return table.replace(
+    table = table.replace(
         std_error=rng.random(table.values.shape),
         hits=rng.integers(0, 2**40, table.values.shape[:3]),
         gaps=rng.random(table.values.shape[:3]) < 0.1,
@@ -32,6 +33,7 @@ def full_table():
         ledger={"paths": 1000.0, "reflected": 700.5},
         provenance={"specimen": "kind = 'gaussian'\n" * 10_000, "seed": 3, "nested": {"alpha": [0.5, None]}},
     )
+    return with_parts(table)
 
 
 @pytest.fixture
@@ -41,15 +43,40 @@ def saved(tmp_path):
     return path
 
 
-def test_everything_comes_back(saved):
-    before, after = full_table(), Table.load(saved)
+def assert_same(before, after):
     for name in Table.__dataclass_fields__:
         want, found = getattr(before, name), getattr(after, name)
         if isinstance(want, np.ndarray):
             assert found.dtype == want.dtype, name
             np.testing.assert_array_equal(found, want, err_msg=name)
+        elif name == "parts":
+            assert list(found) == list(want)  # in their order
+            for part in want:
+                assert_same(want[part], found[part])
         else:
             assert found == want, name
+
+
+def test_everything_comes_back(saved):
+    before, after = full_table(), Table.load(saved)
+    assert_same(before, after)
+    assert list(after.parts["transmission"].parts) == ["L1", "L2", "L3+"]
+
+
+def test_parts_keep_their_order_beyond_nine(tmp_path):
+    table = make(asymmetric, grid(2, 2, 2))
+    names = [*(f"L{n}" for n in range(1, 11)), "L11+"]
+    table.replace(parts={name: table for name in names}).save(tmp_path / "many.h5")
+    assert list(Table.load(tmp_path / "many.h5").parts) == names
+
+
+def test_a_file_of_version_1_0_has_no_parts(saved):
+    def older(file):
+        del file["parts"]
+        file.attrs["version"] = "1.0"
+
+    edit(saved, older)
+    assert_same(full_table().replace(parts={}), Table.load(saved))
 
 
 def test_optional_fields_stay_absent(tmp_path):
@@ -62,13 +89,16 @@ def test_optional_fields_stay_absent(tmp_path):
 def test_units_axes_and_scales(saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "gonio-table"
-        assert file.attrs["version"] == "1.0"
+        assert file.attrs["version"] == "1.1"
         values = file["values"]
         assert values.attrs["units"] == "1/sr"
         assert values.compression == "gzip"
         assert [d.label for d in values.dims] == ["theta_i", "theta_r", "delta_phi", "channel"]
         np.testing.assert_array_equal(values.dims[1][0][()], full_table().theta_r)
         assert file["theta_i"].attrs["units"] == "rad"
+        inner = file["parts/transmission/parts/L3+/values"]
+        assert inner.attrs["units"] == "1/sr"
+        assert inner.compression == "gzip"
 
 
 def test_xarray_opens_it(saved):
@@ -81,6 +111,13 @@ def test_xarray_opens_it(saved):
         np.testing.assert_array_equal(data["theta_i"], table.theta_i)
         assert list(data["channel"].values) == list(table.channels)
         assert data["values"].sel(theta_r=0.5, method="nearest").shape == (6, 8, 3)
+    for group in ("transmission", "transmission/parts/L2"):
+        with xarray.open_dataset(saved, engine="h5netcdf", group=f"parts/{group}") as data:
+            part = dict(walk(table))[group.replace("/parts", "")]
+            assert data["values"].dims == ("theta_i", "theta_r", "delta_phi", "channel")
+            np.testing.assert_array_equal(data["values"], part.values)
+            np.testing.assert_array_equal(data["theta_r"], table.theta_r)
+            assert list(data["channel"].values) == list(table.channels)
 
 
 def edit(path, action):
@@ -111,8 +148,12 @@ def cut(fraction):
 
 def overwrite(path):
     """Garble the deflated rows, not the structure."""
+    garble(path, "std_error")
+
+
+def garble(path, dataset):
     with h5py.File(path) as file:
-        chunk = file["std_error"].id.get_chunk_info(2)
+        chunk = file[dataset].id.get_chunk_info(2)
     with open(path, "r+b") as raw:
         raw.seek(chunk.byte_offset)
         raw.write(b"\xff" * chunk.size)
@@ -123,9 +164,9 @@ DAMAGE = {
     "empty": (lambda p: p.write_bytes(b""), "not an HDF5 file"),
     "truncated": (cut(0.6), "damaged or truncated"),
     "truncated early": (cut(0.01), "damaged or truncated"),
-    "garbled chunk": (overwrite, "damaged or truncated"),
+    "garbled chunk": (overwrite, "dataset std_error is damaged or truncated"),
     "foreign": (lambda p: (p.unlink(), edit_new(p)), "something else .it holds temperature"),
-    "newer": (attribute("version", "2.0"), "version 2.0 is newer than 1.0, update gonio"),
+    "newer": (attribute("version", "2.0"), "version 2.0 is newer than 1.1, update gonio"),
     "no version": (attribute("version", "x"), "attribute version"),
     "no values": (drop("values"), "dataset values is missing"),
     "no channel": (drop("channel"), "dataset channel is missing"),
@@ -140,6 +181,36 @@ DAMAGE = {
     "group": (
         lambda p: edit(p, lambda f: (f.__delitem__("row_albedo"), f.create_group("row_albedo"))),
         "albedo holds a group",
+    ),
+    "compressed": (put("compressed", np.zeros(3)), "compressed is a dataset; a group is expected"),
+    "parts": (put("parts", np.zeros(3)), "parts is a dataset; a group is expected"),
+    "part": (put("parts/L1", np.zeros(3)), "parts/L1 is a dataset; a group is expected"),
+    "part without values": (
+        drop("parts/transmission/values"),
+        "dataset parts/transmission/values is missing",
+    ),
+    "part without channel": (drop("parts/L1/channel"), "dataset parts/L1/channel is missing"),
+    "part's nan": (
+        put("parts/transmission/parts/L2/values", np.full((6, 7, 8, 3), np.nan)),
+        "parts/transmission/parts/L2/values: contains NaN",
+    ),
+    "part's shape": (put("parts/L2/row_albedo", np.zeros((5, 3))), r"parts/L2/row_albedo: shape \(5, 3\)"),
+    "part's text": (put("parts/L2/values", "hello"), "dataset parts/L2/values holds .*numbers are expected"),
+    "part's chunk": (
+        lambda p: garble(p, "parts/transmission/values"),
+        "dataset parts/transmission/values is damaged or truncated",
+    ),
+    "part's ledger": (
+        lambda p: edit(p, lambda f: f["parts/L1"].attrs.__setitem__("ledger", "[]")),
+        "attribute parts/L1/ledger is no JSON",
+    ),
+    "part's grid": (
+        put("parts/transmission/parts/L1/theta_i", np.linspace(0.1, 1.5, 6)),
+        "parts/transmission/parts/L1: theta_i is not the table's",
+    ),
+    "part in itself": (
+        lambda p: edit(p, lambda f: f["parts/L1"].__setitem__("parts", f["parts"])),
+        "parts in parts, 8 deep",
     ),
 }
 

@@ -13,7 +13,7 @@ from gonio.formats import merl
 from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
-from tests.table.tables import grid, make
+from tests.table.tables import grid, make, with_parts
 
 slow_in_python = pytest.mark.compiled
 
@@ -106,6 +106,15 @@ def test_asymmetric_function(analytic):
     np.testing.assert_allclose(table.row_albedo[:80, 0], 0.1 * np.pi, rtol=0.01)
     assert table.gaps is not None
     assert table.gaps.mean() < 1e-3
+
+
+@slow_in_python
+@pytest.mark.compiled
+def test_parts_are_lost_and_said_so(tmp_path):
+    table = with_parts(make(sideways, grid(6, 6, 6)))
+    for given, found in ((table, 1), (table.replace(parts={}), 0)):
+        lost = given.save(tmp_path / "parts.binary")
+        assert sum(line.startswith("the parts transmission, L1, L2, L3+: MERL") for line in lost) == found
 
 
 @slow_in_python

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from microgeometry.specimen import Specimen, parse_specimen
 
@@ -44,6 +45,60 @@ def z_score(values, expected):
     values = np.asarray(values)
     std_error = values.std(ddof=1) / np.sqrt(len(values))
     return abs(values.mean() - expected) / std_error, std_error / expected
+
+
+def chi_squared_p(values, edges, shares):
+    """Chance of a chi^2 as large as that of independent values against the shares expected between edges.
+
+    From the left, bins are thrown together until 10 values are expected in each; the counts sum to the number
+    of values, so there is one degree of freedom less than bins. A value where none can be gives 0.
+    """
+    counts = np.histogram(values, edges)[0]
+    shares = np.asarray(shares) / np.sum(shares)
+    if counts.sum() < len(values) or counts[shares == 0].any():
+        return 0.0
+    group, full = [], 0.0
+    for expected in len(values) * shares:
+        group.append(group[-1] + (full >= 10) if group else 0)
+        full = expected if full >= 10 else full + expected
+    group = np.array(group)
+    if full < 10:
+        group[group == group[-1]] -= 1
+    expected, counts = np.bincount(group, len(values) * shares), np.bincount(group, counts)
+    return stats.chi2.sf(np.sum((counts - expected) ** 2 / expected), len(counts) - 1)
+
+
+def assert_drawn_from(values, density, wrong, low, high):
+    """Rows of n values each are draws, one from each n-th part, from a density between two limits.
+
+    Parameters
+    ----------
+    values : ndarray, shape (rows, n)
+    density : callable
+        Of an array; of any scale.
+    wrong : callable or None
+        A density 3 % off in its parameter, which must fail.
+    """
+    middle = low + (high - low) * (np.arange(200_000) + 0.5) / 200_000
+
+    def places(density):
+        """Where between 0 and 1 each value lies in its n-th part of the density."""
+        cdf = np.append(0.0, np.cumsum(density(middle)))
+        ranks = np.sort(np.interp(values, np.linspace(low, high, 200_001), cdf / cdf[-1]))
+        return (ranks * values.shape[1] - np.arange(values.shape[1])).ravel()
+
+    assert values.min() >= low
+    assert values.max() <= high
+    # No more than the rounding of the sums above outside its part. Within it, values are uniform, and
+    # independent of all others: chi^2 on coarse and fine bins.
+    right = places(density)
+    assert np.abs(right - 0.5).max() < 0.51
+    for n in (8, 100):
+        assert chi_squared_p(np.clip(right, 0, 1), np.linspace(0, 1, n + 1), np.ones(n)) > 1e-4
+    if wrong is not None:
+        off = places(wrong)
+        assert np.abs(off - 0.5).max() > 0.6
+        assert chi_squared_p(np.clip(off, 0, 1), np.linspace(0, 1, 9), np.ones(8)) < 1e-4
 
 
 def assert_closed(tile):

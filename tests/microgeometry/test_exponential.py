@@ -62,6 +62,22 @@ def test_autocorrelation_is_exponential_along_both_axes(specimen_of, axis):
         assert abs(np.mean(differences)) < 4 * std_error
 
 
+@pytest.mark.parametrize("lengths", [[2, 2], [2, 5]])
+def test_correlation_lengths_are_reported(specimen_of, lengths):
+    # About the tile's mean, which is a share m of the variance (L = 16 l), the autocorrelation is
+    # (rho - m) / (1 - m): 1/e where rho = (1 - m)/e + m, a little short of l. The mean of 40 is good to 2 %.
+    keys = {"alpha": 0.5, "correlation_length": lengths, "samples": 256}
+    surface = specimen_of("exponential", **keys).surface
+    mean = 2 * np.pi / 16**2
+    part = (1 - mean) / np.e + mean
+    stats = [surface.realise(seed).statistics() for seed in range(40)]
+    for axis, length in zip("xy", lengths, strict=True):
+        measured = [getattr(s, f"correlation_length_{axis}") for s in stats]
+        z, relative = z_score(measured, length * 1e-6 * -np.log(part))
+        assert z < 4
+        assert relative < 0.03
+
+
 def test_spectrum_loses_nothing_to_rounding(specimen_of):
     # The transform of a correlation is positive: a negative mode would be cut off, and change the rest.
     for samples, per_length in ((128, 16), (512, 16), (256, 4)):

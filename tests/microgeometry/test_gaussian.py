@@ -65,6 +65,22 @@ def test_slopes_are_isotropic_and_gaussian(specimen_of):
     assert z_score(fourth, 3 * 0.125**2)[0] < 4
 
 
+@pytest.mark.parametrize("lengths", [[2, 2], [2, 5]])
+def test_correlation_lengths_are_reported(specimen_of, lengths):
+    # About the tile's mean, which is a share m of the variance (L = 16 l), the autocorrelation is
+    # (rho - m) / (1 - m): 1/e where rho = (1 - m)/e + m, a little short of l. The mean of 40 is good to 1 %.
+    keys = {"alpha": 0.5, "correlation_length": lengths, "samples": 256}
+    surface = specimen_of("gaussian", **keys).surface
+    mean = np.pi / 16**2
+    part = (1 - mean) / np.e + mean
+    stats = [surface.realise(seed).statistics() for seed in range(40)]
+    for axis, length in zip("xy", lengths, strict=True):
+        measured = [getattr(s, f"correlation_length_{axis}") for s in stats]
+        z, relative = z_score(measured, length * 1e-6 * np.sqrt(-np.log(part)))
+        assert z < 4
+        assert relative < 0.02
+
+
 def test_two_correlation_lengths_stretch_the_surface(specimen_of):
     # lx = 1, ly = 3: the slope variance along y is 1/9 of that along x, and their sum is alpha^2.
     keys = {"alpha": 0.5, "correlation_length": [1, 3], "samples": 128, "samples_per_correlation_length": 8}

@@ -1,9 +1,11 @@
+import functools
 import zipfile
 
 import numpy as np
 import pytest
 
 from microgeometry.errors import InputError
+from microgeometry.surfaces import heightmap
 
 # 5 x 4 samples, asymmetric in everything. A .npy is read with x as its first index.
 MAP = np.random.default_rng(5).normal(size=(5, 4))
@@ -32,6 +34,20 @@ def test_repeat_is_the_map_itself(tile_of, tmp_path):
     tile = tile_of("heightmap", **keys, size=[5.0, 2.0], level="none", tiling="repeat")
     np.testing.assert_allclose(tile.heights, (MAP - MAP.mean()) * 1e-6, atol=1e-21)
     assert tile.size == pytest.approx((5e-6, 2e-6))
+
+
+def test_window_brings_the_edges_down_to_the_mean(tile_of, tmp_path):
+    # 40 x 20 samples: the outer 4 and 2 on each side by sin^2(pi/2 i/4) and sin^2(pi/2 i/2), the rest untouched.
+    heights = np.random.default_rng(6).normal(size=(40, 20)) + 3
+    keys = {**write_map(tmp_path, heights), "size": [4, 2], "level": "none"}
+    tile = tile_of("heightmap", **keys, tiling="window")
+    assert tile.size == pytest.approx((4e-6, 2e-6))
+    ratio = tile.heights / ((heights - heights.mean()) * 1e-6)
+    rise = np.sin(np.pi / 2 * np.arange(5) / 4) ** 2
+    np.testing.assert_allclose(ratio[:5, 10], rise, atol=1e-12)
+    np.testing.assert_allclose(ratio[:35:-1, 10], rise[1:], atol=1e-12)
+    np.testing.assert_allclose(ratio[20, [0, 1, 2, -2, -1]], [0, 0.5, 1, 1, 0.5], atol=1e-12)
+    np.testing.assert_allclose(ratio[4:37, 2:19], 1, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("level", "degree"), [("none", 0), ("plane", 1), ("curvature", 2)])
@@ -146,7 +162,7 @@ def test_the_file_is_read_once(specimen_of, x3p):
         (b"neither heights nor a map" * 9, {}, "not a height map in a format"),
         (MAP, {"level": "plain"}, "did you mean 'plane'"),
         (MAP, {"holes": True}, "must be one of 'refuse', 'fill'"),
-        (MAP, {"tiling": "window"}, "must be one of 'mirror', 'repeat'"),
+        (MAP, {"tiling": "tile"}, "must be one of 'mirror', 'window', 'repeat'"),
         (MAP, {"alpha": 0.5}, "alpha = 0.5: unknown key"),
     ],
 )
@@ -197,6 +213,55 @@ def test_real_maps(specimen_of, topography_dir, name, shape, sq, sdq, n_holes):
         assert tile.size == pytest.approx((2.58e-6 * 1834, 2.58e-6 * 510))
 
 
-def test_real_map_with_holes_is_refused_by_default(tile_of, topography_dir):
-    with pytest.raises(InputError, match="116 of 307200 samples"):
-        tile_of("heightmap", file=str(topography_dir / "opd-1.opd"))
+REAL = ["matrix-2.txt", "x3p-2.x3p", "opd-1.opd", "metropro-1.dat", "sample-land.x3p"]
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_keys_on_real_maps(specimen_of, topography_dir, monkeypatch, name):
+    monkeypatch.setattr(heightmap, "_read", functools.cache(heightmap._read))  # seconds for a text matrix
+
+    def tile(**keys):
+        return specimen_of(
+            "heightmap", folder=topography_dir, file=name, holes="fill", **keys
+        ).surface.realise(0)
+
+    repeat, mirror, window = (tile(tiling=tiling) for tiling in ("repeat", "mirror", "window"))
+    shape = np.array(repeat.heights.shape)
+    # Level: nothing of the form that was to be taken out is left in the map (holes filled later apart).
+    form = {"none": 0, "plane": 1, "curvature": 2}
+    levelled = {level: tile(level=level, tiling="repeat") for level in form}
+    rms = [field.statistics().rms_height for field in levelled.values()]
+    assert rms[2] < rms[1] < rms[0]
+    x, y = np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij")
+    if name != "sample-land.x3p":  # 11 % filled
+        for level, degree in form.items():
+            heights = levelled[level].heights
+            for term in [x**a * y**b for a in range(degree + 1) for b in range(degree + 1 - a)]:
+                assert abs(np.mean(heights * term)) < 1e-3 * heights.std()
+    # Tiling: nowhere is the step across the seam larger than the largest inside the map; as it stands, it is.
+    assert (mirror.heights.shape == 2 * shape - 2).all()
+    np.testing.assert_array_equal(mirror.heights[: shape[0], : shape[1]], repeat.heights)
+    assert window.size == repeat.size
+    middle = tuple(slice(n // 8, -n // 8) for n in shape)
+    np.testing.assert_allclose(window.heights[middle], repeat.heights[middle], rtol=1e-12)
+    for axis in (0, 1):
+        largest = np.abs(np.diff(repeat.heights, axis=axis)).max()
+        for closed in (mirror, window):
+            ends = np.take(closed.heights, [-1, 0], axis=axis)
+            assert np.abs(np.diff(ends, axis=axis)).max() <= largest
+        assert not np.take(window.heights, 0, axis=axis).any()
+    assert window.statistics().alpha < 1.02 * mirror.statistics().alpha < 1.04 * repeat.statistics().alpha
+    # Units and size: the file's numbers, read as metres, are the same shape; as micrometres, of the size given.
+    assert tile(units="m").statistics().alpha == pytest.approx(mirror.statistics().alpha, rel=1e-9)
+    wide = tile(units="um", size=[3e6 * length for length in repeat.size], tiling="repeat")
+    assert wide.size == pytest.approx(3 * np.array(repeat.size))
+    np.testing.assert_allclose(
+        wide.heights / wide.heights.std(), repeat.heights / repeat.heights.std(), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("name", ["opd-1.opd", "sample-land.x3p"])
+def test_real_map_with_holes_is_refused_by_default(tile_of, topography_dir, name):
+    expected = {"opd-1.opd": "116 of 307200", "sample-land.x3p": "25292 of 235008"}[name]
+    with pytest.raises(InputError, match=f'{expected} samples .* were not measured; set holes = "fill"'):
+        tile_of("heightmap", file=str(topography_dir / name))

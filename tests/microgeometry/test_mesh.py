@@ -108,6 +108,44 @@ def test_degenerate_faces_and_loose_vertices_are_dropped(specimen_of, tmp_path):
     assert surface.n_degenerate == 0
 
 
+@pytest.mark.parametrize("tiling", ["repeat", "mirror"])
+@pytest.mark.parametrize("suffix", ["obj", "ply", "stl", "glb"])
+def test_overhangs_and_walls(tile_of, tmp_path, suffix, tiling):
+    # A table: its top, a box of 2 x 1 x 0.25 whose underside is 1 above the floor of 4 x 3, floats free.
+    floor = trimesh.Trimesh([(0, 0, 0), (4, 0, 0), (4, 3, 0), (0, 3, 0)], [(0, 1, 2), (0, 2, 3)])
+    top = trimesh.creation.box((2, 1, 0.25)).apply_translation((2.5, 1.25, 1.125))
+    trimesh.util.concatenate([floor, top]).export(tmp_path / f"table.{suffix}")
+    tile = tile_of("mesh", file=f"table.{suffix}", up="z", tiling=tiling)
+    copies = 4 if tiling == "mirror" else 1
+    assert tile.size == pytest.approx(np.array((4e-6, 3e-6)) * copies**0.5, rel=1e-6)
+    normals, areas = tile.facets()
+    down, up = normals[:, 2] < -0.5, normals[:, 2] > 0.5
+    walls = ~(down | up)
+    for side, area, height in ((down, 2, 1e-6), (up, 12 + 2, None), (walls, 6 * 0.25, None)):
+        assert areas[side].sum() == pytest.approx(copies * area * 1e-12, rel=1e-5)
+        if height is not None:
+            np.testing.assert_allclose(tile.vertices[tile.faces[side], 2], height, rtol=1e-5)
+    stats = tile.statistics()
+    # Undersides and walls have no slope that is seen from above.
+    assert stats.alpha == pytest.approx(0, abs=1e-5)
+    assert stats.area_ratio == pytest.approx((12 + 2 + 2 + 1.5) / 12, rel=1e-5)
+    assert stats.peak_to_valley == pytest.approx(1.25e-6, rel=1e-5)
+
+
+@pytest.mark.parametrize("height", [1e-3, 1e-6, 1e-9])
+def test_skinny_triangles_keep_their_normal(tile_of, tmp_path, height):
+    # Two slopes of 45 degrees, a sliver between them: of length 1 and of `height` along y, tilted as they are.
+    (tmp_path / "s.obj").write_text(
+        f"v 0 0 0\nv 1 0 0\nv 1 1 1\nv 0 1 1\nv 0.5 {1 - height!r} {1 - height!r}\n"
+        "f 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n"
+    )
+    tile = tile_of("mesh", file="s.obj", units="m")
+    normals, areas = tile.facets()
+    assert len(areas) == 4
+    np.testing.assert_allclose(normals, np.tile((0, -(0.5**0.5), 0.5**0.5), (4, 1)), atol=1e-6)
+    assert areas.min() == pytest.approx(height / 2**0.5, rel=1e-6)
+
+
 def test_the_file_is_read_once(specimen_of, tmp_path):
     surface = specimen_of("mesh", **write(tmp_path, "tent.ply")).surface
     first = surface.realise(0)

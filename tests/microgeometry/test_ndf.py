@@ -1,10 +1,9 @@
-import itertools
-
 import numpy as np
 import pytest
 from scipy import integrate, stats
 
 from microgeometry.errors import InputError
+from tests.microgeometry.conftest import assert_drawn_from, chi_squared_p, z_score
 
 # D with a gap, a shoulder and a kink: theta_deg, D.
 TABLE = [(5, 0.0), (15, 3.0), (30, 3.0), (40, 0.0), (50, 0.0), (70, 1.5)]
@@ -22,49 +21,56 @@ def tabulated(theta, alpha):
     return np.interp(np.rad2deg(theta), *np.transpose(TABLE), left=0, right=0)
 
 
+def inclinations(surface, seeds):
+    """Inclination of one facet of each groove, a row for each seed."""
+    angles = []
+    for seed in seeds:
+        tile = surface.realise(seed)
+        normals, areas = tile.facets()
+        # All have the same projected area, and what is asked for is a distribution by projected area.
+        np.testing.assert_allclose(areas * normals[:, 2], tile.size[0] * tile.size[1] / 256, rtol=1e-6)
+        angles.append(np.arccos(normals[:128:2, 2]))
+    return np.array(angles)
+
+
+@pytest.mark.parametrize("first_seed", [0, 1000, 2000])
 @pytest.mark.parametrize(
     ("density", "alpha"),
     [(beckmann, 0.1), (beckmann, 0.5), (beckmann, 1.0), (ggx, 0.1), (ggx, 0.5), (tabulated, None)],
 )
-def test_measured_normals_follow_the_distribution(specimen_of, tmp_path, density, alpha):
-    # chi^2 of the grooves, each an independent draw, against the share of projected area D cos sin in 2 degrees.
+def test_measured_normals_follow_the_distribution(specimen_of, tmp_path, density, alpha, first_seed):
     keys = {"distribution": density.__name__, "alpha": alpha}
     if density is tabulated:
         np.savetxt(tmp_path / "d.csv", TABLE, delimiter=",", header="theta_deg,D")
         keys = {"distribution": "d.csv"}
-    surface = specimen_of("ndf", **keys).surface
-    edges = np.deg2rad(np.arange(0, 91, 2))
-    shares = np.array(
-        [
-            integrate.quad(lambda t: density(t, alpha) * np.cos(t) * np.sin(t), a, b)[0]
-            for a, b in itertools.pairwise(edges)
-        ]
-    )
+
+    def projected_area(alpha):
+        return lambda t: 2 * np.pi * density(t, alpha) * np.cos(t) * np.sin(t)
+
     if density is not tabulated:
-        assert 2 * np.pi * shares.sum() == pytest.approx(1, rel=1e-6)
-    counts = np.zeros(45)
-    for seed in range(100):
-        normals, areas = surface.realise(seed).facets()
-        projected = areas * normals[:, 2]
-        np.testing.assert_allclose(projected, projected[0], rtol=1e-6)
-        # Four facets to a groove.
-        counts += np.histogram(np.arccos(normals[:, 2]), edges)[0] / 4
-    expected = 25600 * shares / shares.sum()
-    assert counts[expected == 0].sum() == 0
-    # Bins of fewer than 10 are thrown together.
-    few = expected < 10
-    observed = np.append(counts[~few], counts[few].sum())
-    expected = np.append(expected[~few], expected[few].sum())
-    good = expected > 1
-    chi2 = np.sum((observed[good] - expected[good]) ** 2 / expected[good])
-    assert stats.chi2.sf(chi2, np.count_nonzero(good) - 1) > 1e-4
+        assert integrate.quad(projected_area(alpha), 0, np.pi / 2)[0] == pytest.approx(1, rel=1e-6)
+    angles = inclinations(specimen_of("ndf", **keys).surface, range(first_seed, first_seed + 100))
+    wrong = None if density is tabulated else projected_area(1.03 * alpha)
+    assert_drawn_from(angles, projected_area(alpha), wrong, 0, np.pi / 2)
+
+
+def test_all_azimuths_of_a_turned_specimen_make_up_the_distribution(specimen_of):
+    # Slopes of Beckmann's D are normal along any axis, of variance alpha^2 / 2: turned about z, the grooves' are.
+    # One groove of each tile: independent draws.
+    surface = specimen_of("ndf", distribution="beckmann", alpha=0.4).surface
+    tangents = np.tan(inclinations(surface, range(4000))[:, 0])
+    turned = tangents * np.cos(np.random.default_rng(1).uniform(0, 2 * np.pi, len(tangents)))
+    edges = np.linspace(-2, 2, 41)
+    assert chi_squared_p(turned, edges, np.diff(stats.norm.cdf(edges, scale=0.4 / np.sqrt(2)))) > 1e-4
+    assert chi_squared_p(turned, edges, np.diff(stats.norm.cdf(edges, scale=0.5 / np.sqrt(2)))) < 1e-4
 
 
 def test_alpha_of_beckmann_is_the_meshs(specimen_of):
     surface = specimen_of("ndf", distribution="beckmann", alpha=0.5).surface
     squares = np.array([surface.realise(seed).statistics().alpha ** 2 for seed in range(100)])
-    # tan^2 is exponential of mean alpha^2.
-    assert abs(squares.mean() - 0.25) < 4 * 0.25 / np.sqrt(25600)
+    z, relative = z_score(squares, 0.25)
+    assert z < 4
+    assert relative < 0.01
     assert surface.realise(1).heights.tobytes() == surface.realise(1).heights.tobytes()
     assert surface.realise(1).heights.tobytes() != surface.realise(2).heights.tobytes()
 
@@ -75,8 +81,9 @@ def test_alpha_of_beckmann_is_the_meshs(specimen_of):
         ({}, "distribution: missing"),
         ({"distribution": "ggx"}, "alpha: missing"),
         ({"distribution": "ggx", "alpha": 0}, "above 0 and at most 5"),
-        ({"distribution": "GGX", "alpha": 1}, "must be 'beckmann', 'ggx' or a CSV file"),
-        ({"distribution": "good.csv", "alpha": 1}, "alpha = 1: a distribution from a file has none"),
+        ({"distribution": "GGX", "alpha": 1}, "must be 'beckmann', 'ggx' or a CSV file.*did you mean 'ggx'"),
+        ({"distribution": "oren_nayar"}, "must be 'beckmann', 'ggx' or a CSV file"),
+        ({"distribution": "good.csv", "alpha": 1}, "alpha = 1: the distribution 'good.csv' has none"),
     ],
 )
 def test_bad_keys(specimen_of, tmp_path, keys, message):

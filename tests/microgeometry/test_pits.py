@@ -37,6 +37,18 @@ def test_cover_depth_and_area(tile_of, arrangement, cover, depth):
     assert stats.area_ratio - 1 == pytest.approx(excess * (1 - 0.005), rel=0.003)
 
 
+@pytest.mark.parametrize("kind", ["pits", "bosses"])
+@pytest.mark.parametrize(("arrangement", "cover"), ARRANGED)
+def test_labels_tell_the_plane_from_the_caps(tile_of, kind, arrangement, cover):
+    # Also where caps and plane are cut at the faces of the tile. A facet of the plane is level at z = 0, which
+    # no facet of a cap is.
+    for seed in range(3):
+        tile = tile_of(kind, seed, arrangement=arrangement, cover=cover, segments=16)
+        level = (tile.vertices[tile.faces, 2] == 0).all(axis=1)
+        assert tile.labels.dtype == np.uint8
+        np.testing.assert_array_equal(tile.labels, level)
+
+
 def test_polyhedron_converges_to_the_sphere(tile_of):
     # Twice the segments: a quarter of the error, within the scatter of the facets drawn.
     errors = []
@@ -77,10 +89,18 @@ def test_seed_is_the_realisation(specimen_of):
     assert first.vertices.shape != other.vertices.shape or not np.allclose(first.vertices, other.vertices)
 
 
-def test_cut_brings_in_what_stands_out():
-    # A triangle over the corner of a unit tile: its area and normal stay, all of it is inside.
-    corner = np.array([(-0.5, -0.25, 0.0), (0.5, -0.25, 1.0), (0.25, 0.5, 0.0)])
+@pytest.mark.parametrize("apex", [0.25, 0.0])  # 0: a corner on the plane of the cut
+def test_cut_brings_in_what_stands_out(apex):
+    # A triangle over the corner of a unit tile: its area and normal stay, all of it is inside. So does its
+    # label, and that of one which is not cut.
+    corner = np.array([(-0.5, -0.25, 0.0), (0.5, -0.25, 1.0), (apex, 0.5, 0.0)])
+    inside = np.array([(0.75, 0.5, 0.0), (0.875, 0.5, 0.0), (0.75, 0.75, 0.0)])
+    faces = np.array([(0, 1, 2), (3, 4, 5)])
+    both = cut_to_tile(np.vstack((inside, corner)), faces, (1.0, 1.0), np.uint8([0, 1]))
+    assert sorted(both.labels) == [0] + (len(both.faces) - 1) * [1]
+    assert (both.vertices[both.faces[both.labels == 0][0]].mean(axis=0) == inside.mean(axis=0)).all()
     tile = cut_to_tile(corner, np.array([(0, 1, 2)]), (1.0, 1.0))
+    assert tile.labels is None
     assert (tile.vertices[:, :2] >= 0).all()
     assert (tile.vertices[:, :2] <= 1).all()
     normals, areas = tile.facets()

@@ -38,6 +38,24 @@ def test_spectrum_is_the_power_law(specimen_of, hurst):
     assert power[0, 0] < 1e-20 * flat
 
 
+def test_two_rolloff_lengths_stretch_the_surface(specimen_of):
+    # 1 and 30: brushed along y. The slope variance along y is 1/900 of that along x, their sum alpha^2.
+    keys = {"alpha": 0.2, "rolloff_length": [1, 30], "samples": 128}
+    surface = specimen_of("self_affine", hurst=0.7, **keys).surface
+    stats = [surface.realise(seed).statistics() for seed in range(40)]
+    assert surface.realise(0).size == pytest.approx((8e-6, 240e-6))
+    assert z_score([s.alpha_x**2 for s in stats], 2 * 0.04 * 900 / 901)[0] < 4
+    assert z_score([s.alpha_y**2 for s in stats], 2 * 0.04 / 901)[0] < 4
+    ratios = [s.correlation_length_y / s.correlation_length_x for s in stats]
+    z, relative = z_score(ratios, 30)
+    assert z < 4
+    assert relative < 0.1
+    # The same surface as the isotropic one but for the scale of y, and of the heights.
+    same = specimen_of("self_affine", hurst=0.7, alpha=0.2, samples=128).surface.realise(3).heights
+    stretched = surface.realise(3).heights
+    np.testing.assert_allclose(stretched / stretched.std(), same / same.std(), atol=1e-12)
+
+
 def test_shorter_waves_are_steeper(specimen_of):
     # Half the cut-off length, at the same rms height and samples, H = 0.5: alpha^2 goes as 1 / cut-off.
     alphas = []
@@ -68,6 +86,7 @@ def test_seed_is_the_realisation(specimen_of):
         ({"hurst": 0.8, "alpha": 1, "cutoff_length": 0.06}, "resolve no wave below 0.0625 units"),
         ({"hurst": 0.8, "alpha": 1, "cutoff_length": 1.1}, "at most rolloff_length"),
         ({"hurst": 0.8, "alpha": 1, "samples": 32, "size": 20}, "at most rolloff_length"),
+        ({"hurst": 0.8, "alpha": 1, "rolloff_length": [1, 2, 3]}, "one number, or two"),
         ({"hurst": 0.8, "alpha": 1, "correlation_length": 1}, "correlation_length = 1: unknown key"),
     ],
 )

@@ -1,8 +1,10 @@
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
 from microgeometry.errors import InputError
-from microgeometry.tile import HeightField, TriangleMesh
+from microgeometry.tile import HeightField, SurfaceStatistics, TriangleMesh
 
 
 def as_mesh(field: HeightField) -> TriangleMesh:
@@ -24,6 +26,7 @@ def test_height_field_and_its_own_triangles_agree(shape):
     heights = np.random.default_rng(1).normal(size=shape)
     field = HeightField(heights, (2.0 * shape[0], 0.5 * shape[1]))
     mesh = as_mesh(field)
+    assert vars(mesh.statistics()).keys() == {f.name for f in fields(SurfaceStatistics)}
     for name, value in vars(mesh.statistics()).items():
         assert getattr(field.statistics(), name) == pytest.approx(value, rel=1e-12, abs=1e-15), name
     # Facets: the same set; the mesh has them interleaved quad by quad.
@@ -42,6 +45,34 @@ def test_facets_of_a_height_field_close_the_surface():
     normals, areas = field.facets()
     np.testing.assert_allclose(areas @ normals, (0.0, 0.0, 6.0), atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, rtol=1e-14)
+
+
+def test_alpha_of_each_axis():
+    # A ramp up and down, 3 along x and 1 along y in steps of 1: <hx^2> = 9, <hy^2> = 1.
+    x, y = np.meshgrid([0.0, 3.0], [0.0, 1.0], indexing="ij")
+    stats = HeightField(x + y, (2.0, 2.0)).statistics()
+    assert (stats.alpha_x, stats.alpha_y) == (pytest.approx(18**0.5), pytest.approx(2**0.5))
+    assert stats.alpha**2 == pytest.approx((stats.alpha_x**2 + stats.alpha_y**2) / 2)
+
+
+@pytest.mark.parametrize(("nx", "ny"), [(400, 300), (401, 299)])
+def test_correlation_length_of_waves(nx, ny):
+    # A wave has the autocorrelation cos(2 pi r / wavelength): 1/e at acos(1/e) / 2 pi = 0.19006 wavelengths,
+    # linear over a step of 1/100 of a wavelength to 1e-5 or so. The mean height does not count.
+    x, y = np.meshgrid(np.arange(nx) / nx, np.arange(ny) / ny, indexing="ij")
+    wave = 5 + np.sin(2 * np.pi * (4 * x + 3 * y) + 0.7)
+    stats = HeightField(wave, (8.0, 9.0)).statistics()
+    part = np.arccos(1 / np.e) / (2 * np.pi)
+    assert stats.correlation_length_x == pytest.approx(2 * part, rel=3e-4)
+    assert stats.correlation_length_y == pytest.approx(3 * part, rel=3e-4)
+
+
+def test_correlation_longer_than_a_period_can_tell():
+    groove = HeightField(np.array([[0.0], [-1.0], [2.0], [-1.0]]), (8.0, 3.0)).statistics()
+    assert groove.correlation_length_x < 2
+    assert groove.correlation_length_y == 1.5
+    flat = HeightField(np.full((3, 2), 7.0), (8.0, 3.0)).statistics()
+    assert (flat.correlation_length_x, flat.correlation_length_y) == (4.0, 1.5)
 
 
 def test_statistics_of_a_pyramid_mesh():
@@ -100,5 +131,7 @@ def test_bad_mesh():
         TriangleMesh(triangle, one[:0], (0.0, 0.0), (1.0, 1.0))
     with pytest.raises(InputError, match="1 of 3"):
         TriangleMesh(np.diag([1.0, np.inf, 0.0])[[2, 0, 1]], one, (0.0, 0.0), (1.0, 1.0))
+    with pytest.raises(InputError, match=r"labels of shape \(2,\): must be \(1,\)"):
+        TriangleMesh(triangle, one, (0.0, 0.0), (1.0, 1.0), np.zeros(2, np.uint8))
     with pytest.raises(InputError, match="no facet faces up"):
         TriangleMesh(triangle, one[:, ::-1], (0.0, 0.0), (1.0, 1.0)).statistics()

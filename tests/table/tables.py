@@ -52,6 +52,25 @@ def make(
     return table.replace(row_albedo=albedo)
 
 
+def share(table: Table, fraction: float) -> Table:
+    """A fraction of the table's light as a part of it would hold it."""
+    scaled = {
+        field: fraction * getattr(table, field)
+        for field in ("values", "std_error", "row_albedo", "albedo_std_error", "specular")
+        if getattr(table, field) is not None
+    }
+    return table.replace(**scaled, ledger={}, provenance={}, parts={})
+
+
+def with_parts(table: Table, transmittance: float = 0.25) -> Table:
+    """The table with a dimmer copy as its transmission, both split into orders of bounces."""
+    bounces = {"L1": 0.5, "L2": 0.125, "L3+": 0.375}
+    below = share(table, transmittance)
+    below = below.replace(parts={name: share(below, fraction) for name, fraction in bounces.items()})
+    orders = {name: share(table, fraction) for name, fraction in bounces.items()}
+    return table.replace(parts={"transmission": below, **orders})
+
+
 def lambert(wi, wo):
     """Reflectance one half."""
     return np.full(np.broadcast_shapes(wi.shape, wo.shape)[:-1], 0.5 / np.pi)

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from gonio.table.checks import check
+from gonio.table.parts import extract
 from gonio.validation import seed_from
-from tests.table.tables import asymmetric, ggx, grid, make
+from tests.table.tables import asymmetric, ggx, grid, make, with_parts
 
 
 def poisson(brdf, rng, paths, edges, asymmetry=0.0, batches=None, tint=(1.0,)):
@@ -114,6 +115,64 @@ def test_energy():
     assert named(check(bright), "albedo is the sum over cells").passed is False
 
 
+def test_energy_counts_what_is_transmitted():
+    """Errors of reflected and transmitted light add up: however they are correlated, no false alarm."""
+    rng = np.random.default_rng(seed_from("energy below"))
+    table = with_parts(poisson(ggx(0.5, 0.9), rng, 1e6, grid(20, 20, 30)), transmittance=0.1)
+    below = table.parts["transmission"].replace(albedo_std_error=2 * table.albedo_std_error)
+    sigma = table.albedo_std_error + below.albedo_std_error
+    for excess, passed in ((3, True), (6, False)):
+        bright = np.where(
+            np.arange(20)[:, None] == 7, 1 + excess * sigma - table.row_albedo, below.row_albedo
+        )
+        report = check(table.replace(parts={"transmission": below.replace(row_albedo=bright, parts={})}))
+        found = named(report, "energy")
+        assert found.passed is passed
+        assert found.numbers["energy_max"] == pytest.approx(1 + excess * sigma[7, 0])
+        assert "albedo with transmittance" in found.detail
+    assert named(report, "transmittance is the sum over cells").passed is False
+    assert named(report, "albedo is the sum over cells").passed
+
+
+def test_orders_add_up():
+    """In every quantity, of the table and of its transmission, to rounding."""
+    table = with_parts(make(ggx(0.5, 0.5), grid(8, 8, 9), specular=0.05))
+    report = check(table)
+    assert report.passed, report.lines()
+    for whole, name in ((table, "the table"), (table.parts["transmission"], "transmission")):
+        assert named(report, f"orders add up to {name}").passed
+        for field in ("values", "row_albedo", "specular"):
+            second = whole.parts["L2"]
+            more = getattr(second, field).copy()
+            more[3] *= 1 + 1e-7
+            parts = {**whole.parts, "L2": second.replace(**{field: more})}
+            wrong = whole.replace(parts=parts)
+            if name == "transmission":
+                wrong = table.replace(parts={**table.parts, name: wrong})
+            report = check(wrong)
+            assert named(report, f"orders add up to {name}").passed is False, field
+            assert sum(c.passed is False for c in report.checks) == 1
+    hits = np.full(table.values.shape[:3], 2)
+    halves = {n: p.replace(hits=hits // 2) for n, p in table.parts.items() if n in ("L1", "L2")}
+    for last, passed in ((0, True), (1, False)):
+        parts = {**table.parts, **halves, "L3+": table.parts["L3+"].replace(hits=hits * 0 + last)}
+        report = check(table.replace(hits=hits, parts=parts))
+        assert named(report, "orders add up to the table").passed is passed
+
+
+def test_a_table_of_transmission_owes_no_reciprocity():
+    table = with_parts(make(asymmetric, grid(20, 20, 30)))
+    for part in ("transmission", "transmission/L1"):
+        report = check(extract(table, part))
+        assert [c.name for c in report.checks if "symmetry" in c.name] == []
+        assert named(report, "reciprocity").passed is None
+    assert named(check(extract(table, "L1")), "asymmetry").passed is None
+    rng = np.random.default_rng(seed_from("one-way"))
+    noisy = with_parts(poisson(ggx(0.5, 0.9), rng, 2e7, grid(45, 45, 45), asymmetry=0.03))
+    assert not check(extract(noisy, "L1")).passed
+    assert check(extract(noisy, "transmission/L1")).passed
+
+
 def test_positivity_looks_at_the_error_bars():
     rng = np.random.default_rng(seed_from("positivity"))
     table = poisson(ggx(0.5, 0.9), rng, 1e6, grid(20, 20, 30))
@@ -144,6 +203,10 @@ def test_ledger():
     }
     assert named(check(table.replace(ledger=good)), "ledger").passed
     assert named(check(table.replace(ledger={**good, "absorbed": 3e5})), "ledger").passed is False
+    layers = {"absorbed: layer 1 surface": 2e5, "absorbed: layer 1 medium": 1e5 - 1}
+    assert named(check(table.replace(ledger=good | layers)), "ledger").passed
+    layers["absorbed: layer 1 medium"] += 0.01
+    assert named(check(table.replace(ledger=good | layers)), "ledger").passed is False
     lossy = {**good, "lost": 2.5, "absorbed": 3e5 - 3}
     assert named(check(table.replace(ledger=lossy)), "ledger").passed is False
     assert named(check(table), "ledger").passed is None

@@ -9,11 +9,15 @@ from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, PACKET_WIDTH, new_packet
 from gonio.core.jit import kernel
 from gonio.trace.scene import TraceScene, pack_optics
 from gonio.trace.transport import start_packet, trace_packet
+from microgeometry.specimen import Layer
+from microgeometry.surfaces.flat import Flat
 
 
 @kernel
 def _trace(embree, box, eta_k, albedo, wi, side, max_bounces, seed, exits, weight, bounces, status, absorbed):
     packet = new_packet()
+    polarisation = None if eta_k is None else np.empty((PACKET_WIDTH, weight.shape[1], 3))
+    axis = None if eta_k is None else np.empty((PACKET_WIDTH, 3))
     rays = 0
     dx, dy = box.width_x / (4 * side), box.width_y / (4 * side)
     for k in range(side * side):
@@ -23,7 +27,7 @@ def _trace(embree, box, eta_k, albedo, wi, side, max_bounces, seed, exits, weigh
         lanes = slice(path, path + PACKET_WIDTH)
         rays += trace_packet(
             embree, box, True, packet, eta_k, albedo, max_bounces, seed, 0, path,
-            weight[lanes], bounces[lanes], status[lanes], absorbed,
+            weight[lanes], polarisation, axis, bounces[lanes], status[lanes], absorbed,
         )  # fmt: skip
         for lane in range(PACKET_WIDTH):
             exits[path + lane, 0] = packet[DIR_X, lane]
@@ -36,8 +40,8 @@ class Paths:
     """Paths from one direction (azimuth 0: light in the xz plane, from +x), stratified over the tile."""
 
     def __init__(self, tile, material, theta_i_deg, side=32, seed=0, max_bounces=64):
-        scene = TraceScene(tile)
-        optics = pack_optics(material)
+        scene = TraceScene([tile])
+        optics = pack_optics(Layer(Flat(), material))
         channels = 1
         for field in optics:
             channels = channels if field is None else len(field)

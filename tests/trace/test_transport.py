@@ -72,11 +72,15 @@ def test_steep_groove_loses_nothing():
     assert paths.bounces.max() == 18 or paths.bounces.max() == 17
 
 
-def test_conductor_groove_multiplies_reflectances():
-    gold = Conductor((0.2,), (3.4,))
-    paths = Paths(v_groove(45), gold, 0)
-    r_s, r_p = fresnel_conductor(math.cos(math.pi / 4), 0.2, 3.4)
-    assert paths.weight == pytest.approx(np.full((len(paths.weight), 1), (0.5 * (r_s + r_p)) ** 2), rel=1e-5)
+@pytest.mark.parametrize(
+    ("eta", "k", "slope", "angles"),
+    [(0.2, 3.4, 45, (45, 45)), (1.5, 0, 45, (45, 45)), (1.1, 7, 60, (60, 0, 60))],
+)
+def test_conductor_groove_multiplies_reflectances(eta, k, slope, angles):
+    # normal incidence: two or three bounces in one plane, so s and p stay apart
+    paths = Paths(v_groove(slope), Conductor((eta,), (k,)), 0)
+    r_s, r_p = np.prod([fresnel_conductor(cos(angle), eta, k) for angle in angles], axis=0)
+    assert paths.weight == pytest.approx(np.full((len(paths.weight), 1), 0.5 * (r_s + r_p)), rel=1e-5)
     assert paths.weight.sum() + paths.absorbed.sum() == pytest.approx(len(paths.weight), rel=1e-12)
 
 

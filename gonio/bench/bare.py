@@ -1,0 +1,122 @@
+"""The least a rough mirror needs: a loop with no materials, weights, bounce counts or ledger, as a yardstick.
+
+What the instrument takes longer is what all else that it can model costs a path that does not need it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gonio.core.embree import (
+    DIR_X,
+    DIR_Y,
+    DIR_Z,
+    GEOM_ID,
+    INST_ID,
+    INST_PRIM_ID,
+    MISS,
+    NORMAL_X,
+    NORMAL_Y,
+    NORMAL_Z,
+    ORG_X,
+    ORG_Y,
+    ORG_Z,
+    PACKET_WIDTH,
+    T_FAR,
+    VALID,
+    intersect16,
+    new_packet,
+)  # fmt: skip
+from gonio.core.jit import kernel
+from gonio.core.lookup import find
+from gonio.core.philox import uniforms
+from gonio.trace.analog import morton
+from gonio.trace.transport import start_packet
+
+_ZERO = np.float32(0)
+_FAR = np.float32(np.inf)
+
+
+@kernel
+def trace_mirror(embree, box, theta, phi, sin_i, strata, first, last, seed, cells):
+    """Trace packets first ... last - 1 of strata x strata over a rough mirror, from one angle of incidence.
+
+    Parameters
+    ----------
+    embree : Handle
+    box : Box
+    theta, phi : Axis
+        Edges of sin^2 theta_r and -cos(delta phi).
+    sin_i : float
+    strata, first, last, seed : int
+    cells : ndarray of int64, shape (R, P)
+        Paths that leave through each cell are added.
+    """
+    packet = new_packet()
+    ints = packet.view(np.int32)
+    dx, dy = box.width_x / (4 * strata), box.width_y / (4 * strata)
+    for k in range(first, last):
+        i, j = morton(k)
+        _, v, _, _ = uniforms(16 * k, 0, 0, 1, seed, 0)
+        azimuth = 2.0 * math.pi * v
+        wi = (sin_i * math.cos(azimuth), sin_i * math.sin(azimuth), math.sqrt(1.0 - sin_i * sin_i))
+        start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, 0, 16 * k)
+        active = PACKET_WIDTH
+        while active > 0:
+            intersect16(embree, packet, True)
+            for lane in range(PACKET_WIDTH):
+                if ints[VALID, lane] == 0:
+                    continue
+                if ints[GEOM_ID, lane] != MISS:
+                    _reflect(packet, lane, box.lift)
+                elif _wrap(box, packet, lane):
+                    x, y, z = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
+                    ring = find(theta, (x * x + y * y) / (x * x + y * y + z * z))
+                    cosine = (wi[0] * x + wi[1] * y) / max(sin_i * math.sqrt(x * x + y * y), 1e-30)
+                    cells[ring, find(phi, -cosine)] += 1
+                    ints[VALID, lane] = 0
+                    active -= 1
+                packet[T_FAR, lane] = _FAR
+                ints[GEOM_ID, lane] = MISS
+                ints[INST_ID, lane] = MISS
+                ints[INST_PRIM_ID, lane] = MISS
+
+
+@kernel(allocates=False)
+def _reflect(packet, lane, lift):
+    nx, ny, nz = packet[NORMAL_X, lane], packet[NORMAL_Y, lane], packet[NORMAL_Z, lane]
+    vx, vy, vz = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
+    scale = np.float32(1) / np.float32(math.sqrt(nx * nx + ny * ny + nz * nz))
+    nx, ny, nz = nx * scale, ny * scale, nz * scale
+    distance = packet[T_FAR, lane]
+    packet[ORG_X, lane] += vx * distance + nx * lift
+    packet[ORG_Y, lane] += vy * distance + ny * lift
+    packet[ORG_Z, lane] += vz * distance + nz * lift
+    along = vx * nx + vy * ny + vz * nz
+    if along < _ZERO:
+        packet[DIR_X, lane] = vx - np.float32(2) * along * nx
+        packet[DIR_Y, lane] = vy - np.float32(2) * along * ny
+        packet[DIR_Z, lane] = vz - np.float32(2) * along * nz
+
+
+@kernel(allocates=False)
+def _wrap(box, packet, lane):
+    """Move a ray that hit nothing to the tile's face and in again opposite; True if it is out above."""
+    x, y, z = packet[ORG_X, lane], packet[ORG_Y, lane], packet[ORG_Z, lane]
+    vx, vy, vz = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
+    to_z = ((box.top if vz > _ZERO else box.bottom) - z) / vz
+    to_x = ((box.width_x if vx > _ZERO else _ZERO) - x) / vx
+    to_y = ((box.width_y if vy > _ZERO else _ZERO) - y) / vy
+    if not (to_z > to_x or to_z > to_y):
+        return True
+    t = min(to_x, to_y)
+    packet[ORG_X, lane] = x + vx * t
+    packet[ORG_Y, lane] = y + vy * t
+    packet[ORG_Z, lane] = z + vz * t
+    if to_x < to_y:
+        packet[ORG_X, lane] = _ZERO if vx > _ZERO else box.width_x
+    else:
+        packet[ORG_Y, lane] = _ZERO if vy > _ZERO else box.width_y
+    return False

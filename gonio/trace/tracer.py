@@ -1,0 +1,138 @@
+"""A specimen's realisations, and the kernel that traces each: the fast one where it will do."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Protocol
+
+import numpy as np
+
+from gonio.trace.analog import Beam, Bins, Part, Sums, trace_stack, trace_surface
+from gonio.trace.scene import Optics, TraceScene, pack_optics
+from gonio.trace.stack import Stack, StackScene, pack_stack
+from gonio.trace.transport import MAX_SEGMENTS
+from microgeometry.specimen import Specimen
+from microgeometry.tile import SurfaceStatistics, Tile
+
+MAX_BOUNCES = 256
+_STATISTICS_TILES = 8  # realisations whose facets are measured
+_COHERENT_FACETS = 8  # facets per path of a row below which coherent packets are faster (measured)
+
+
+class Realisation(Protocol):
+    """One realisation of a specimen, ready to trace."""
+
+    def trace(self, bins: Bins, beam: Beam, part: Part, batch: int, sums: Sums) -> None:
+        """Trace a part of one row's paths and add them to `sums`."""
+        ...
+
+
+class Tracer:
+    """Chooses how a specimen is traced, and realises it batch by batch.
+
+    Parameters
+    ----------
+    specimen : Specimen
+    seed : int
+    paths_per_row : int
+        Of a batch.
+
+    Attributes
+    ----------
+    stack : Stack
+    hemispheres : int
+        1, or 2 where light can leave below.
+    ledger_names : tuple of str
+        Further columns of the ledger: energy absorbed, for each layer at its surface and in its medium.
+
+    Raises
+    ------
+    InputError
+        The specimen's facets cannot be packed; see `gonio.trace.stack.pack_stack`.
+    """
+
+    def __init__(self, specimen: Specimen, seed: int, paths_per_row: int) -> None:
+        self.stack: Stack = pack_stack(specimen)
+        self.hemispheres = 2 if self.stack.transmits else 1
+        self._specimen = specimen
+        self._seed = seed
+        self._paths_per_row = paths_per_row
+        layers = specimen.layers
+        self._optics = pack_optics(layers[0]) if len(layers) == 1 else None
+        self.ledger_names: tuple[str, ...] = ()
+        if self._optics is None:
+            self.ledger_names = tuple(
+                f"absorbed: layer {number} {what}"
+                for number in range(1, len(layers) + 1)
+                for what in ("surface", "medium")
+            )
+        grid = specimen.grid
+        self._to_channels = None if grid.to_channels is None else np.array(grid.to_channels)
+        self._statistics: list[list[SurfaceStatistics]] = []
+        self._fixed: Realisation | None = None
+
+    def realise(self, batch: int) -> Realisation:
+        """The realisation of a batch; a specimen without anything random has one for all."""
+        if self._fixed is not None:
+            return self._fixed
+        tiles = [
+            layer.surface.realise(_realisation_seed(self._seed, batch, number))
+            for number, layer in enumerate(self._specimen.layers)
+        ]
+        if len(self._statistics) < _STATISTICS_TILES:
+            self._statistics.append([tile.statistics() for tile in tiles])
+        realisation: Realisation
+        if self._optics is not None:
+            realisation = _Surface(self, self._optics, tiles[0])
+        else:
+            realisation = _Layers(self, tiles)
+        if not self._specimen.is_random:
+            self._fixed = realisation
+        return realisation
+
+    def statistics(self) -> list[dict[str, float]]:
+        """What was measured on the facets of each layer, the mean over realisations."""
+        return [
+            {name: float(np.mean([asdict(tile)[name] for tile in tiles])) for name in asdict(tiles[0])}
+            for tiles in zip(*self._statistics, strict=True)
+        ]
+
+
+class _Surface:
+    """One opaque surface of one material: 16 paths at a time."""
+
+    def __init__(self, tracer: Tracer, optics: Optics, tile: Tile) -> None:
+        self._tracer = tracer
+        self._optics = optics
+        self._scene = TraceScene([tile])
+        self._coherent = tracer._paths_per_row * _COHERENT_FACETS >= self._scene.facets
+
+    def trace(self, bins: Bins, beam: Beam, part: Part, batch: int, sums: Sums) -> None:
+        tracer, scene = self._tracer, self._scene
+        trace_surface(
+            scene.embree, scene.box, self._coherent, *self._optics, tracer._to_channels, bins, beam, part,
+            tracer._seed, batch, MAX_BOUNCES, sums,
+        )  # fmt: skip
+
+
+class _Layers:
+    """A stack of layers, or one surface that needs more than `_Surface` knows: one path at a time."""
+
+    def __init__(self, tracer: Tracer, tiles: list[Tile]) -> None:
+        self._tracer = tracer
+        self._scene = StackScene(tracer._specimen.layers, tiles)
+        self._facets = self._scene.label(tracer.stack.facets)
+
+    def trace(self, bins: Bins, beam: Beam, part: Part, batch: int, sums: Sums) -> None:
+        tracer, stack = self._tracer, self._tracer.stack
+        # in a medium that hardly absorbs, light scatters thousands of times before it is out
+        max_bounces = MAX_SEGMENTS if stack.scatters else MAX_BOUNCES
+        trace_stack(
+            self._scene.zones, self._facets, stack.tables, stack.media, stack.polarised, tracer._to_channels,
+            bins, beam, part, tracer._seed, batch, max_bounces, sums,
+        )  # fmt: skip
+
+
+def _realisation_seed(seed: int, batch: int, layer: int) -> int:
+    entropy = (seed, batch, layer) if layer else (seed, batch)
+    return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0])
