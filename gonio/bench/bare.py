@@ -54,7 +54,11 @@ def trace_mirror(embree, box, theta, phi, sin_i, strata, first, last, seed, cell
     cells : ndarray of int64, shape (R, P)
         Paths that leave through each cell are added.
     """
-    packet = new_packet()
+    _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, new_packet())
+
+
+@kernel(allocates=False)
+def _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, packet):
     ints = packet.view(np.int32)
     dx, dy = box.width_x / (4 * strata), box.width_y / (4 * strata)
     for k in range(first, last):

@@ -103,16 +103,27 @@ def trace_surface(
         Added to.
     """
     samples = bins.share.shape[0]
-    packets = part.strata_x * part.strata_y
-    dx = box.width_x / (4 * part.strata_x)
-    dy = box.width_y / (4 * part.strata_y)
-    packet = new_packet()
     weight = np.empty((PACKET_WIDTH, samples))
     polarisation = None if eta_k is None else np.empty((PACKET_WIDTH, samples, 3))
     axis = None if eta_k is None else np.empty((PACKET_WIDTH, 3))
-    absorbed = np.zeros(samples)
     bounces = np.zeros(PACKET_WIDTH, np.int64)
     status = np.zeros(PACKET_WIDTH, np.int64)
+    absorbed = np.zeros(samples)
+    _trace_packets(
+        embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
+        new_packet(), weight, polarisation, axis, bounces, status, absorbed,
+    )  # fmt: skip
+
+
+# apart from its caller, so that numba counts no references to arrays in the loop
+@kernel(allocates=False)
+def _trace_packets(
+    embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
+    packet, weight, polarisation, axis, bounces, status, absorbed,
+):  # fmt: skip
+    packets = part.strata_x * part.strata_y
+    dx = box.width_x / (4 * part.strata_x)
+    dy = box.width_y / (4 * part.strata_y)
     for k in range(part.first, part.last):
         path = (beam.row * packets + k) * PACKET_WIDTH
         u, v, _, _ = uniforms(path, path >> 32, 0, 1, seed, batch)
@@ -131,7 +142,8 @@ def trace_surface(
             delta = albedo is None and x == mirror_x and y == mirror_y
             wo = (float(x), float(y), float(z))
             _count(to_channels, bins, sums, wi, wo, status[lane], bounces[lane], delta, weight[lane])
-    sums.ledger[ABSORBED_COLUMN] += np.dot(bins.share, absorbed)
+    for sample in range(absorbed.shape[0]):
+        sums.ledger[ABSORBED_COLUMN] += bins.share[sample] * absorbed[sample]
 
 
 @kernel
@@ -152,12 +164,19 @@ def trace_stack(
         As in `trace_surface`.
     """
     samples = bins.share.shape[0]
+    _trace_paths(
+        zones, facets, tables, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
+        new_ray(), np.empty((samples, 4)), np.empty(samples), np.empty((SCRATCH_ROWS, samples)),
+        np.zeros(sums.ledger.shape[0] - LEDGER_COLUMNS),
+    )  # fmt: skip
+
+
+@kernel(allocates=False)
+def _trace_paths(
+    zones, facets, tables, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
+    ray, light, weight, scratch, absorbed,
+):  # fmt: skip
     packets = part.strata_x * part.strata_y
-    ray = new_ray()
-    light = np.empty((samples, 4))
-    weight = np.empty(samples)
-    scratch = np.empty((SCRATCH_ROWS, samples))
-    absorbed = np.zeros(sums.ledger.shape[0] - LEDGER_COLUMNS)
     # a plane has no period: start anywhere
     first = 0
     while first < zones.scene.shape[0] - 1 and zones.box[first, WIDTH_X] == math.inf:
@@ -181,7 +200,7 @@ def trace_stack(
                 max_bounces, seed, batch, path, ray, light, scratch, absorbed,
             )  # fmt: skip
             sums.ledger[RAYS] += rays
-            for s in range(samples):
+            for s in range(weight.shape[0]):
                 weight[s] = light[s, 0]
             _count(to_channels, bins, sums, wi, wo, status, bounces, straight, weight)
     for column in range(absorbed.shape[0]):
@@ -198,7 +217,7 @@ def _incident(beam, u, v):
     return sine * math.cos(phi), sine * math.sin(phi), math.sqrt(1.0 - sin2)
 
 
-@kernel(allocates=False)
+@kernel(inline=True, allocates=False)
 def _count(to_channels, bins, sums, wi, wo, status, bounces, delta, weight):
     """Add what is left of one path (`weight`, shape (S,)) to where it ended."""
     energy = 0.0
@@ -233,7 +252,7 @@ def _count(to_channels, bins, sums, wi, wo, status, bounces, delta, weight):
         sums.cells[sheet, cell, channels] += 1.0
 
 
-@kernel
+@kernel(allocates=False)
 def morton(k):
     """Place of packet k: x from its odd bits, y from its even ones."""
     i = 0
