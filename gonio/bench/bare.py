@@ -1,6 +1,8 @@
-"""The least a rough mirror needs: a loop with no materials, weights, bounce counts or ledger, as a yardstick.
+"""A loop that traces rough mirrors and nothing else, with the same books as the instrument, as a yardstick.
 
-What the instrument takes longer is what all else that it can model costs a path that does not need it.
+It has the periodic tile, the cap on bounces, the ledger, the delta term and the tallies, and no materials, weights,
+polarisation, channels, orders or transmission. What the instrument takes longer is what all that it can
+model costs a path that does not need it.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ import math
 
 import numpy as np
 
+from gonio.core.directions import cos_delta_phi
 from gonio.core.embree import (
     DIR_X,
     DIR_Y,
@@ -33,14 +36,15 @@ from gonio.core.jit import kernel
 from gonio.core.lookup import find
 from gonio.core.philox import uniforms
 from gonio.trace.analog import morton
-from gonio.trace.transport import start_packet
+from gonio.trace.tracer import MAX_BOUNCES
+from gonio.trace.transport import MAX_SEGMENTS, start_packet
 
 _ZERO = np.float32(0)
 _FAR = np.float32(np.inf)
 
 
 @kernel
-def trace_mirror(embree, box, theta, phi, sin_i, strata, first, last, seed, cells):
+def trace_mirror(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, ledger):
     """Trace packets first ... last - 1 of strata x strata over a rough mirror, from one angle of incidence.
 
     Parameters
@@ -51,35 +55,64 @@ def trace_mirror(embree, box, theta, phi, sin_i, strata, first, last, seed, cell
         Edges of sin^2 theta_r and -cos(delta phi).
     sin_i : float
     strata, first, last, seed : int
-    cells : ndarray of int64, shape (R, P)
-        Paths that leave through each cell are added.
+    cells : ndarray, shape (R * P, 2)
+        Energy and number of the paths that leave through each cell are added.
+    ledger : ndarray, shape (5,)
+        Reflected, of these in the mirror direction, killed, lost; rays.
     """
-    _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, new_packet())
+    bounces = np.zeros(PACKET_WIDTH, np.int64)
+    _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, ledger, new_packet(), bounces)
 
 
 @kernel(allocates=False)
-def _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, packet):
+def _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, ledger, packet, bounces):
     ints = packet.view(np.int32)
     dx, dy = box.width_x / (4 * strata), box.width_y / (4 * strata)
+    sectors = phi.edges.shape[0] - 1
     for k in range(first, last):
         i, j = morton(k)
         _, v, _, _ = uniforms(16 * k, 0, 0, 1, seed, 0)
         azimuth = 2.0 * math.pi * v
         wi = (sin_i * math.cos(azimuth), sin_i * math.sin(azimuth), math.sqrt(1.0 - sin_i * sin_i))
         start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, 0, 16 * k)
+        mirror_x, mirror_y = packet[DIR_X, 0], packet[DIR_Y, 0]
+        bounces[:] = 0
         active = PACKET_WIDTH
+        segments = 0
         while active > 0:
             intersect16(embree, packet, True)
+            ledger[4] += active
+            segments += 1
             for lane in range(PACKET_WIDTH):
                 if ints[VALID, lane] == 0:
                     continue
-                if ints[GEOM_ID, lane] != MISS:
-                    _reflect(packet, lane, box.lift)
+                ended = segments >= MAX_SEGMENTS
+                if ended:
+                    ledger[3] += 1.0
+                elif ints[GEOM_ID, lane] != MISS:
+                    ended = bounces[lane] >= MAX_BOUNCES
+                    if ended:
+                        ledger[2] += 1.0
+                    elif _reflect(packet, lane, box.lift):
+                        bounces[lane] += 1
                 elif _wrap(box, packet, lane):
+                    ended = True
                     x, y, z = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
-                    ring = find(theta, (x * x + y * y) / (x * x + y * y + z * z))
-                    cosine = (wi[0] * x + wi[1] * y) / max(sin_i * math.sqrt(x * x + y * y), 1e-30)
-                    cells[ring, find(phi, -cosine)] += 1
+                    if z < _ZERO:
+                        ledger[3] += 1.0
+                    else:
+                        ledger[0] += 1.0
+                        if x == mirror_x and y == mirror_y:
+                            ledger[1] += 1.0
+                        else:
+                            wo = (float(x), float(y), float(z))
+                            sin2, cos2 = wo[0] * wo[0] + wo[1] * wo[1], wo[2] * wo[2]
+                            cell = find(theta, sin2 / (sin2 + cos2)) * sectors + find(
+                                phi, -cos_delta_phi(wi, wo)
+                            )
+                            cells[cell, 0] += 1.0
+                            cells[cell, 1] += 1.0
+                if ended:
                     ints[VALID, lane] = 0
                     active -= 1
                 packet[T_FAR, lane] = _FAR
@@ -90,6 +123,7 @@ def _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, pac
 
 @kernel(allocates=False)
 def _reflect(packet, lane, lift):
+    """Reflect a ray at its hit; False if it met the back of a facet, and goes on through."""
     nx, ny, nz = packet[NORMAL_X, lane], packet[NORMAL_Y, lane], packet[NORMAL_Z, lane]
     vx, vy, vz = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
     scale = np.float32(1) / np.float32(math.sqrt(nx * nx + ny * ny + nz * nz))
@@ -99,15 +133,17 @@ def _reflect(packet, lane, lift):
     packet[ORG_Y, lane] += vy * distance + ny * lift
     packet[ORG_Z, lane] += vz * distance + nz * lift
     along = vx * nx + vy * ny + vz * nz
-    if along < _ZERO:
-        packet[DIR_X, lane] = vx - np.float32(2) * along * nx
-        packet[DIR_Y, lane] = vy - np.float32(2) * along * ny
-        packet[DIR_Z, lane] = vz - np.float32(2) * along * nz
+    if along >= _ZERO:
+        return False
+    packet[DIR_X, lane] = vx - np.float32(2) * along * nx
+    packet[DIR_Y, lane] = vy - np.float32(2) * along * ny
+    packet[DIR_Z, lane] = vz - np.float32(2) * along * nz
+    return True
 
 
 @kernel(allocates=False)
 def _wrap(box, packet, lane):
-    """Move a ray that hit nothing to the tile's face and in again opposite; True if it is out above."""
+    """Move a ray that hit nothing to the tile's face and in again opposite; True if it is out."""
     x, y, z = packet[ORG_X, lane], packet[ORG_Y, lane], packet[ORG_Z, lane]
     vx, vy, vz = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
     to_z = ((box.top if vz > _ZERO else box.bottom) - z) / vz
