@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,7 +53,9 @@ class Keys:
 
     def __init__(self, table: Mapping[str, Any], where: str) -> None:
         if not isinstance(table, Mapping):
-            raise InputError(f"{where} = {str(table)[:60]!r}: must be a table of keys; write it as [{where}]")
+            raise InputError(
+                f"{where} = {str(table)[:60]!r}: must be a table of keys, in braces or under a heading"
+            )
         self.table = table
         self.where = where
 
@@ -83,11 +86,15 @@ class Keys:
         at_least: float | None = None,
         below: float | None = None,
         at_most: float | None = None,
+        or_inf: bool = False,
     ) -> float:
-        """Read one finite number within bounds; without a default the key is required."""
+        """Read one finite number within bounds, or inf if so said; without a default the key is required."""
         if key not in self.table and default is not None:
             return default
-        return self._number(key, self._get(key), above, at_least, below, at_most)
+        value = self._get(key)
+        if or_inf and _is_number(value) and value == math.inf:
+            return math.inf
+        return self._number(key, value, above, at_least, below, at_most, ", or inf" if or_inf else "")
 
     def integer(self, key: str, default: int, *, at_least: int, at_most: int) -> int:
         """Read a whole number within bounds (both included)."""
@@ -107,7 +114,9 @@ class Keys:
     ) -> tuple[float, ...]:
         """Read a number or a list of numbers, each within bounds, as a tuple of at least one."""
         value = self._get(key)
-        values = list(value) if isinstance(value, list | tuple | np.ndarray) else [value]
+        if isinstance(value, np.ndarray):
+            value = value.tolist()  # one of no dimension becomes a number
+        values = list(value) if isinstance(value, list | tuple) else [value]
         if not values:
             raise self.error(key, "the list is empty; give at least one number")
         return tuple(self._number(key, v, above, at_least, below, at_most) for v in values)
@@ -128,13 +137,31 @@ class Keys:
             raise self.error(key, "must be text in quotes, and not empty")
         return value
 
+    def file(self, key: str, folder: Path) -> Path:
+        """Read the name of a file that must exist, relative to `folder`; return its absolute path."""
+        file = (folder / self.text(key)).absolute()
+        if not file.is_file():
+            raise self.error(key, f"there is no file {file}; paths are relative to the specimen's folder")
+        return file
+
+    def subtable(self, key: str) -> Keys:
+        """Read a required table within this one."""
+        return Keys(self._get(key), f"{self.where} {key}".strip())
+
+    def subtables(self, key: str) -> tuple[Keys, ...]:
+        """Read a required, non-empty list of tables within this one; they are counted from 1."""
+        tables = self._get(key)
+        if not isinstance(tables, list | tuple) or not tables:
+            raise self.error(key, "must be a list of at least one table")
+        return tuple(Keys(table, f"{self.where} {key} {i}".strip()) for i, table in enumerate(tables, 1))
+
     def metres_per_unit(self) -> float:
         """Read ``units`` ("um" if absent): the factor from lengths in this table to metres."""
         return METRES[self.choice("units", "um", METRES)]
 
     def _get(self, key: str) -> Any:
         if key not in self.table:
-            raise self.error(key, f"missing; add `{key} = ...` under [{self.where}]")
+            raise self.error(key, f"missing; add `{key} = ...`")
         return self.table[key]
 
     def _number(
@@ -145,6 +172,7 @@ class Keys:
         at_least: float | None,
         below: float | None,
         at_most: float | None,
+        or_else: str = "",
     ) -> float:
         good = _is_number(value)
         try:
@@ -159,5 +187,7 @@ class Keys:
             and (at_most is None or number <= at_most)
         )
         if not good:
-            raise self.error(key, f"must be a finite number{_bounds(above, at_least, below, at_most)}")
+            raise self.error(
+                key, f"must be a finite number{_bounds(above, at_least, below, at_most)}{or_else}"
+            )
         return number
