@@ -162,9 +162,7 @@ def _is_spectral(table: Mapping[str, Any]) -> bool:
 
 def _is_list_of_three(value: Any) -> bool:
     # A list of one is as good as a number; a list of another length is an error of the material's.
-    return (
-        isinstance(value, list | tuple | np.ndarray) and len(value) == 3 and not isinstance(value[0], Mapping)
-    )
+    return len(value) == 3 if isinstance(value, list | tuple) else getattr(value, "shape", None) == (3,)
 
 
 def _step(keys: Keys, key: str, default: float, whole: float, unit: str) -> float:

@@ -114,7 +114,9 @@ class Keys:
     ) -> tuple[float, ...]:
         """Read a number or a list of numbers, each within bounds, as a tuple of at least one."""
         value = self._get(key)
-        values = list(value) if isinstance(value, list | tuple | np.ndarray) else [value]
+        if isinstance(value, np.ndarray):
+            value = value.tolist()  # one of no dimension becomes a number
+        values = list(value) if isinstance(value, list | tuple) else [value]
         if not values:
             raise self.error(key, "the list is empty; give at least one number")
         return tuple(self._number(key, v, above, at_least, below, at_most) for v in values)

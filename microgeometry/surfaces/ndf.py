@@ -16,12 +16,12 @@ from microgeometry.tile import HeightField
 class Ndf:
     r"""V-grooves whose slopes follow a distribution of normals D.
 
-    Side by side lie 256 symmetric grooves of equal width along y. The slope of each is drawn, independently,
-    from the projected area of D, :math:`p(\theta) = 2 \pi D(\theta) \cos\theta \sin\theta`.
+    Side by side lie 64 symmetric grooves of equal width along y. Their slopes are drawn from the projected
+    area of D, :math:`p(\theta) = 2 \pi D(\theta) \cos\theta \sin\theta`, one from each 64th part of it.
 
-    What is prescribed, exactly in expectation: the inclination of the facets, by projected area, at every
-    realisation; and with it all of D, once the specimen is turned about z as an isotropic measurement turns
-    it. A single tile holds 256 draws, and its facets look to +x and -x only.
+    What is prescribed, exactly in expectation and at each realisation to within 1/64: the inclination of the
+    facets, by projected area; and with it all of D, once the specimen is turned about z as an isotropic
+    measurement turns it. The facets of the tile itself look to +x and -x only.
 
     What is not: D does not fix a surface. Where facets stand to one another, and so shadowing, masking and
     multiple reflection, is that of V-cavities, the surface behind Torrance and Sparrow (1967) and Cook and
@@ -60,5 +60,5 @@ class Ndf:
         return cls(read_distribution(keys, folder), size)
 
     def realise(self, seed: int) -> HeightField:
-        """Return the realisation of a seed, shape (512, 1)."""
+        """Return the realisation of a seed, shape (128, 1)."""
         return draw_grooves(self.distribution, self.size, seed)

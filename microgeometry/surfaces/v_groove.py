@@ -14,8 +14,9 @@ from microgeometry.keys import Keys
 from microgeometry.surfaces.slopes import MAX_SLOPE_DEG, Normal, SlopeDistribution, read_distribution
 from microgeometry.tile import HeightField
 
-N_RANDOM = 256
-"""Grooves in a tile of random ones: one specimen's worth of facets, and few enough to build at once."""
+N_RANDOM = 64
+"""Grooves in a tile of random ones. More would be less random for the same number of tiles, but narrower in a
+unit tile, where the tracer's single precision loses light in their valleys: 256 lose 4 paths in a million."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class VGroove:
         )
 
     def realise(self, seed: int) -> HeightField:
-        """Return one groove, or 256 with slopes drawn, each of 2 x 1 samples."""
+        """Return one groove, or `N_RANDOM` with slopes drawn, each of 2 x 1 samples."""
         if isinstance(self.slope, float):
             return grooves(np.array([self.slope]), self.size)
         return draw_grooves(self.slope, self.size, seed)
@@ -101,8 +102,13 @@ def _read_slope(keys: Keys, folder: Path) -> float | SlopeDistribution:
 
 
 def draw_grooves(distribution: SlopeDistribution, width: float, seed: int) -> HeightField:
-    """Return `N_RANDOM` grooves, each `width` metres wide, of slopes drawn from a distribution."""
-    u = np.random.Generator(np.random.PCG64(seed)).uniform(size=N_RANDOM)
+    """Return `N_RANDOM` grooves, each `width` metres wide, of slopes drawn from a distribution.
+
+    One is drawn from each N-th part of the tile, in random order. Light in a groove meets no other, all
+    ridges being at one height, so this alters no result but its noise: half the variance, measured.
+    """
+    rng = np.random.Generator(np.random.PCG64(seed))
+    u = (rng.permutation(N_RANDOM) + rng.uniform(size=N_RANDOM)) / N_RANDOM
     return grooves(np.minimum(distribution.slopes(u), radians(MAX_SLOPE_DEG)), width)
 
 

@@ -69,20 +69,36 @@ def chi_squared_p(values, edges, shares):
 
 
 def assert_drawn_from(values, density, wrong, low, high):
-    """Independent values follow a density between two limits, by chi^2 on coarse and on fine bins.
+    """Rows of n values each are draws, one from each n-th part, from a density between two limits.
 
-    A wrong density, 3 % off in its parameter, must fail the coarse one: 16 bins that hold equal shares.
+    Parameters
+    ----------
+    values : ndarray, shape (rows, n)
+    density : callable
+        Of an array; of any scale.
+    wrong : callable or None
+        A density 3 % off in its parameter, which must fail.
     """
-    fine = np.linspace(low, high, 20001)
-    middle, width = 0.5 * (fine[1:] + fine[:-1]), fine[1] - fine[0]
-    cdf = np.append(0.0, np.cumsum(density(middle))) * width
-    assert chi_squared_p(values, fine[::400], np.diff(cdf[::400])) > 1e-4
-    coarse = np.interp(np.linspace(0, cdf[-1], 17)[1:-1], cdf, fine)
-    coarse = np.concatenate(([low], coarse, [high]))
-    assert chi_squared_p(values, coarse, np.diff(np.interp(coarse, fine, cdf))) > 1e-4
+    middle = low + (high - low) * (np.arange(200_000) + 0.5) / 200_000
+
+    def places(density):
+        """Where between 0 and 1 each value lies in its n-th part of the density."""
+        cdf = np.append(0.0, np.cumsum(density(middle)))
+        ranks = np.sort(np.interp(values, np.linspace(low, high, 200_001), cdf / cdf[-1]))
+        return (ranks * values.shape[1] - np.arange(values.shape[1])).ravel()
+
+    assert values.min() >= low
+    assert values.max() <= high
+    # No more than the rounding of the sums above outside its part. Within it, values are uniform, and
+    # independent of all others: chi^2 on coarse and fine bins.
+    right = places(density)
+    assert np.abs(right - 0.5).max() < 0.51
+    for n in (8, 100):
+        assert chi_squared_p(np.clip(right, 0, 1), np.linspace(0, 1, n + 1), np.ones(n)) > 1e-4
     if wrong is not None:
-        wrong_cdf = np.append(0.0, np.cumsum(wrong(middle)))
-        assert chi_squared_p(values, coarse, np.diff(np.interp(coarse, fine, wrong_cdf))) < 1e-4
+        off = places(wrong)
+        assert np.abs(off - 0.5).max() > 0.6
+        assert chi_squared_p(np.clip(off, 0, 1), np.linspace(0, 1, 9), np.ones(8)) < 1e-4
 
 
 def assert_closed(tile):

@@ -124,6 +124,12 @@ def test_csv_in_any_order_of_columns_and_in_micrometres(csv):
     assert k is None
 
 
+def test_csv_saved_by_a_spreadsheet(csv):
+    # With a byte-order mark, quotes and carriage returns.
+    n, k = tabulated_index(csv('\ufeff"wavelength_nm","n","k"\r\n500,"1.5",0\r\n'), [500])
+    assert (n, k) == ([1.5], [0])
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

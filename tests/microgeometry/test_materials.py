@@ -53,6 +53,7 @@ def test_scalar_is_grey_and_broadcasts():
     conductor = build({"kind": "conductor", "eta": [0.2, 0.3], "k": 3}, GREEN).material
     assert conductor == Conductor((0.2, 0.3), (3.0, 3.0))
     assert build({"kind": "dielectric", "eta": 1.5}).material == Dielectric((1.5,))
+    assert build({"kind": "dielectric", "eta": np.array(1.5)}).material == Dielectric((1.5,))
 
 
 def test_three_values_are_rgb_in_that_order():

@@ -22,7 +22,7 @@ DATA = Path(__file__).resolve().parents[2] / "data" / "specimens"
 
 RANDOM = {"gaussian", "exponential", "self_affine", "ndf", "pits", "bosses", "fibres", "spheres"}
 
-ODD_NAME = 'a "b" \\ \x7f\N{GREEK SMALL LETTER MU}.csv'
+ODD_NAME = 'a "b" \\ \x7f\N{GREEK SMALL LETTER MU}\N{MATHEMATICAL ITALIC SMALL ETA}.csv'
 
 GOOD = """
 [surface]
