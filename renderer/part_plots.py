@@ -70,7 +70,7 @@ def energy(table: Table) -> Figure:
 
 def orders_albedo(table: Table, transmitted: bool = False) -> Figure:
     """Draw what light of each number of bounces adds to the albedo, one upon the other."""
-    orders = orders_of(table)
+    orders = _lit_orders(table)
     figure = Figure(figsize=(7.2, 3.8), layout="constrained")
     panel = figure.subplots()
     degrees = np.degrees(table.theta_i)
@@ -93,7 +93,7 @@ def orders_lobes(
 ) -> Figure:
     """Draw the lobes in the plane of incidence by number of bounces, mean of the channels."""
     rows = rows_near(table, angles_deg)
-    orders = orders_of(table)
+    orders = _lit_orders(table)
     figure = Figure(figsize=(4.6 * len(rows), 3.8), layout="constrained")
     panels = figure.subplots(1, len(rows), squeeze=False)[0]
     for panel, row in zip(panels, rows, strict=True):
@@ -104,12 +104,21 @@ def orders_lobes(
             mean, error = mean.mean(axis=1), error.mean(axis=1)
             panel.plot(np.degrees(theta), mean, lw=1.4, color=colour, label=name)
             low = np.maximum(mean - error, 0)
-            panel.fill_between(np.degrees(theta), low, mean + error, color=colour, alpha=0.25, lw=0)
+            # an empty cell's error is a bound that would hide the orders which are there
+            lit = mean > 0
+            panel.fill_between(
+                np.degrees(theta), low, mean + error, where=lit, color=colour, alpha=0.25, lw=0
+            )
         label_plane(panel, table, row, transmitted)
         scale_plane(panel, whole.mean(axis=1))
     panels[0].set_ylabel("f_t (1/sr)" if transmitted else "f_r (1/sr)")
     panels[0].legend(fontsize=8, frameon=False)
     return figure
+
+
+def _lit_orders(table: Table) -> dict[str, Table]:
+    """The parts by number of bounces that hold any light: none is transmitted in one bounce by two surfaces."""
+    return {name: part for name, part in orders_of(table).items() if np.any(part.row_albedo > 0)}
 
 
 def _order_colours(count: int) -> list[str]:

@@ -180,9 +180,9 @@ def _energy(table: Table) -> str:
     paths = table.ledger.get("paths", 0)
     if not paths:
         return figure
-    inner = [name for name in table.ledger if name.startswith("absorbed: ")]
+    inner = [name for name, energy in table.ledger.items() if name.startswith("absorbed: ") and energy]
     rows = []
-    for name in (name for name in table.ledger if name != "paths" and name not in inner):
+    for name in (name for name in table.ledger if name != "paths" and not name.startswith("absorbed: ")):
         rows.append(_bar(name, table.ledger[name] / paths, 0.8))
         if name == "absorbed":
             rows += [_bar(i.removeprefix("absorbed: "), table.ledger[i] / paths, 2.3) for i in inner]

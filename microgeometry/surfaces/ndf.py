@@ -30,9 +30,10 @@ class Ndf:
 
     Keys of [surface]:
 
-    - ``distribution``: "beckmann", "ggx", or a CSV file of theta_deg, D: at least two rows, angles that
-      increase within 0 to 90 degrees, D not negative and of any scale, linear between rows, zero outside
-      them; a line that starts with # is a comment. Relative to the specimen's folder.
+    - ``distribution``: "beckmann", "ggx", or a CSV file of theta_deg, D, relative to the specimen's folder: at
+      least two rows, angles that increase within 0 to 90 degrees, D not negative and of any scale, linear
+      between rows, zero outside them; a header line that says theta_deg,D may lead it, and lines that start
+      with # are comments.
     - ``alpha``, above 0 and at most 5: of "beckmann" and "ggx". For Beckmann it is the expected alpha of the
       mesh; GGX has no finite one, and that of a realisation says how far into its tail the draw came.
     - ``size`` (1): width of a groove in ``units`` ("um"). It changes no result in geometric optics.

@@ -135,7 +135,11 @@ def read_distribution(
 
 def _read(keys: Keys, file: Path) -> tuple[tuple[float, float], ...]:
     try:
-        rows = np.loadtxt(file, delimiter=",", ndmin=2)
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+        lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+        if lines and [name.strip() for name in lines[0].split(",")] == ["theta_deg", "D"]:
+            del lines[0]
+        rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, 2))
     except (ValueError, OSError) as error:
         reason = " ".join(str(error).split())[:150]
         raise keys.error("distribution", f"cannot be read as rows of theta_deg, D ({reason})") from error

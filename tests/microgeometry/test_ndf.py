@@ -92,10 +92,19 @@ def test_bad_keys(specimen_of, tmp_path, keys, message):
         specimen_of("ndf", **keys)
 
 
+@pytest.mark.parametrize("head", ["", "theta_deg,D\n", "# measured\n\ntheta_deg, D\n", "\ufefftheta_deg,D\n"])
+def test_header_of_a_file_may_be_there(tile_of, tmp_path, head):
+    (tmp_path / "d.csv").write_text(head + "20,1\n21, 2\n", encoding="utf-8")
+    slopes = np.rad2deg(np.arctan(np.abs(tile_of("ndf", distribution="d.csv").slopes()[0])))
+    assert 20 <= slopes.min() < slopes.max() <= 21
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("theta,D\n0,1\n", "cannot be read"),
+        ("D,theta_deg\n0,1\n1,1\n", "cannot be read"),
+        ("", "at least two rows"),
         ("0,1\n", "at least two rows"),
         ("0,1,2\n1,1,2\n", "two finite numbers"),
         ("0,1\n1,nan\n", "two finite numbers"),

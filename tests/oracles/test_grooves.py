@@ -224,7 +224,6 @@ def test_grooves_of_170_and_of_10_degrees(seed, slope, material):
     """Nearly flat and nearly closed ones keep all light, at all angles."""
     table = trace(layer(groove(slope), material), 50_000, seed, theta_i_deg=[0, 60, 89.9])
     ledger_adds_up(table)
-    paths, killed = table.ledger["paths"], table.ledger["killed"]
-    assert table.ledger["reflected"] + table.ledger["transmitted"] == pytest.approx(paths - killed, rel=1e-9)
-    # white light in a slit bounces long: what is left at the cap is in the ledger
-    assert killed <= (2e-3 * paths if slope == 85 and material["kind"] == "lambert" else 0)
+    # white light in a slit bounces for long: no cap may cut it off
+    assert table.ledger["killed"] == 0
+    assert table.ledger["reflected"] + table.ledger["transmitted"] == pytest.approx(table.ledger["paths"])

@@ -63,6 +63,13 @@ def test_lobes_of_the_orders_add_up():
         assert orders["L2"] == pytest.approx(0.1 / np.pi)
 
 
+def test_orders_without_light_are_left_out():
+    table = with_parts(transmitted=(0.0, 0.2, 0.1), delta=0.0).parts[TRANSMISSION]
+    assert list(stack(part_plots.orders_albedo(table, True).axes[0])) == ["L2", "L3+"]
+    assert set(lines(part_plots.orders_lobes(table).axes[0])) >= {"L2", "L3+", "all"}
+    assert "L1" not in lines(part_plots.orders_lobes(table).axes[0])
+
+
 def test_plots_of_transmission_say_so():
     below = with_parts().parts[TRANSMISSION]
     panel = plots.lobes(below, transmitted=True).axes[0]

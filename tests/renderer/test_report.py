@@ -88,7 +88,8 @@ def test_report_of_a_table_without_error_bars(tmp_path):
 def test_report_of_a_table_with_parts(tmp_path):
     ledger = {
         "paths": 200.0, "reflected": 70.0, "transmitted": 66.0, "absorbed": 64.0, "killed": 0.0, "lost": 0.0,
-        "absorbed: layer 1 <medium>": 48.0, "absorbed: layer 2 surface": 16.0,
+        "absorbed: layer 1 <medium>": 48.0, "absorbed: layer 1 surface": 0.0,
+        "absorbed: layer 2 surface": 16.0,
     }  # fmt: skip
     write_report(with_parts(ledger=ledger), tmp_path / "r.html")
     page = (tmp_path / "r.html").read_text()
