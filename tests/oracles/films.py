@@ -30,7 +30,13 @@ def film_stack(cos_i, n_above, films, n_below, wavelength):
     T : ndarray, shape (2,)
         Transmitted intensity over incident, per area of the interface; meaningful for a real n_below.
     """
-    r, t_intensity = [], []
+    r, t = film_amplitudes(cos_i, n_above, films, n_below, wavelength)
+    return r, np.abs(t) ** 2
+
+
+def film_amplitudes(cos_i, n_above, films, n_below, wavelength):
+    """Amplitudes (s, p) reflected and transmitted, the latter scaled so that its square is the intensity."""
+    r, t = [], []
     cosines = [complex(snell(cos_i, n_above, n)) for n, _ in films]
     cos_b = complex(snell(cos_i, n_above, n_below))
     for polarisation in "sp":
@@ -50,5 +56,5 @@ def film_stack(cos_i, n_above, films, n_below, wavelength):
         amplitude = (y0 * b - c) / (y0 * b + c)
         # of tangential fields; the p amplitude of this project has the other sign
         r.append(amplitude if polarisation == "s" else -amplitude)
-        t_intensity.append(4 * np.real(y0) * np.real(yb) / abs(y0 * b + c) ** 2)
-    return np.array(r), np.array(t_intensity)
+        t.append(2 * np.sqrt(np.real(y0) * max(0.0, np.real(yb))) / (y0 * b + c))
+    return np.array(r), np.array(t)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.oracles.fresnel import amplitudes, snell
+from tests.oracles.films import film_amplitudes
 
 
 class Exit(NamedTuple):
@@ -30,16 +30,24 @@ class Exit(NamedTuple):
     """Intensity / incident, unpolarised light in."""
 
 
-def groove(slope, theta, phi=0.0, n=None, cutoff=1e-9):
+class Walls(NamedTuple):
+    """What the walls of a groove are made of."""
+
+    n: complex
+    """Complex is opaque metal; real is glass, which fills the half-space below, and beams in it are followed too."""
+    films: tuple = ()
+    """(index, thickness) from the air inwards, thickness in wavelengths."""
+
+
+def groove(slope, theta, phi=0.0, walls=None, cutoff=1e-9):
     """All beams that leave a V-groove.
 
     Parameters
     ----------
     slope, theta, phi : float
         Radians.
-    n : complex, optional
-        Index of the walls: complex is opaque metal; real is glass, which fills the half-space below, and
-        beams in it are followed too. None is a perfect mirror.
+    walls : Walls, optional
+        None is a perfect mirror.
     cutoff : float
         Beams that carry less than this share of the light are dropped.
 
@@ -87,7 +95,7 @@ def groove(slope, theta, phi=0.0, n=None, cutoff=1e-9):
             o, p = triangle[sides[other][0]], triangle[sides[other][1]]
             ends = sorted(_cross(start + f * (end - start) - o, flat) / _cross(p - o, flat) for f in (a, b))
             normal = outwards[where][other]
-            for onto, d_new, new in _meet(d, fields, normal, where, n):
+            for onto, d_new, new in _meet(d, fields, normal, where, walls):
                 wall = other if onto == where else 1 - other
                 beams.append((onto, wall, *ends, d_new, new, bounces + 1, part))
     return exits
@@ -110,7 +118,7 @@ def _intensity(fields):
     return 0.5 * float(np.sum(np.abs(fields) ** 2))
 
 
-def _meet(d, fields, outward, where, n):
+def _meet(d, fields, outward, where, walls):
     """What becomes of a beam at a wall: list of (where, direction, fields)."""
     normal = outward if where == "air" else -outward  # against d
     cos_i = -float(d @ normal)
@@ -118,24 +126,21 @@ def _meet(d, fields, outward, where, n):
     size = np.linalg.norm(s)
     s = s / size if size > 1e-12 else _basis(d)[:, 0].real
     p = np.cross(d, s)
-    mirrored = d + 2 * cos_i * normal
-    p_mirrored = np.cross(mirrored, s)
-    if n is None:
-        r_s, r_p = -1.0, 1.0
-        n1 = n2 = 1.0
-    else:
-        n1, n2 = (1.0, n) if where == "air" else (n, 1.0)
-        r_s, r_p = amplitudes(cos_i, n1, n2)
     e_s, e_p = s @ fields, p @ fields
-    result = [(where, mirrored, np.outer(s, r_s * e_s) + np.outer(p_mirrored, r_p * e_p))]
-    if n is not None and np.isreal(n) and n1**2 * (1 - cos_i**2) < n2**2:
-        cos_t = float(np.real(snell(cos_i, n1, n2)))
+
+    def leaving(direction, a_s, a_p):
+        return np.outer(s, a_s * e_s) + np.outer(np.cross(direction, s), a_p * e_p)
+
+    mirrored = d + 2 * cos_i * normal
+    if walls is None:
+        return [(where, mirrored, leaving(mirrored, -1.0, 1.0))]
+    n1, n2, films = (1.0, walls.n, walls.films) if where == "air" else (walls.n, 1.0, walls.films[::-1])
+    (r_s, r_p), (t_s, t_p) = film_amplitudes(cos_i, n1, films, n2, 1.0)
+    result = [(where, mirrored, leaving(mirrored, r_s, r_p))]
+    if np.isreal(n2) and n1**2 * (1 - cos_i**2) < n2**2:
+        cos_t = math.sqrt(1 - (n1 / n2) ** 2 * (1 - cos_i**2))
         refracted = n1 / n2 * d + (n1 / n2 * cos_i - cos_t) * normal
-        root = math.sqrt(n2 * cos_t / (n1 * cos_i))  # power of the beam, not intensity
-        t_s, t_p = root * (1 + r_s), root * n1 / n2 * (1 + r_p)
-        onto = "glass" if where == "air" else "air"
-        through = np.outer(s, t_s * e_s) + np.outer(np.cross(refracted, s), t_p * e_p)
-        result.append((onto, refracted, through))
+        result.append(("glass" if where == "air" else "air", refracted, leaving(refracted, t_s, t_p)))
     return result
 
 
@@ -163,10 +168,10 @@ def turned(theta, measure, n_phi=256):
     return np.mean([measure(angle) for angle in phi], axis=0)
 
 
-def albedo(slope, theta, phi, n, up=True, bounces=None):
+def albedo(slope, theta, phi, walls, up=True, bounces=None):
     """Share of unpolarised light that leaves upwards (or downwards), of all or of some number of bounces."""
     return sum(
         e.share * e.weight
-        for e in groove(slope, theta, phi, n)
+        for e in groove(slope, theta, phi, walls)
         if (e.direction[2] > 0) == up and (bounces is None or e.bounces == bounces)
     )

@@ -30,7 +30,17 @@ pytestmark = pytest.mark.compiled
 
 RINGS = {"theta_step_deg": 1, "phi_step_deg": 180}
 METAL = {"kind": "conductor", "eta": 0.4, "k": 1.1}  # a poor one: s and p differ much
-INDEX = 0.4 + 1.1j
+WALLS = grooves.Walls(0.4 + 1.1j)
+WAVELENGTH = 500.0
+FILMS = ((1.9, 90.0), (1.38 + 0.05j, 140.0))
+
+
+def coated(over, films=FILMS):
+    """A material, and the same for the reference."""
+    tables = [{"eta": complex(n).real, "k": complex(n).imag, "thickness_nm": d} for n, d in films]
+    index = complex(over["eta"], over["k"]) if "k" in over else over["eta"]
+    walls = grooves.Walls(index, tuple((n, d / WAVELENGTH) for n, d in films))
+    return {"kind": "coated", "films": tables, "over": over}, walls
 
 
 def energies(table, row=0):
@@ -116,31 +126,57 @@ def test_metal_grooves_keep_polarisation(seed, slope, theta, way):
     if way == "layers":
         layers.insert(0, layer(FLAT, NONE, thickness=1.0))
     table = trace(layers, 200_000, seed, theta_i_deg=[theta])
-    expected = metal_groove(slope, theta)
+    expected = metal_groove(slope, theta, WALLS)
     error = np.hypot(table.albedo_std_error[:, 0], 2e-5)
     agrees(table.row_albedo[:, 0], error, expected, batches_of(table), precision=2e-3)
     ledger_adds_up(table)
 
 
 @cache
-def metal_groove(slope, theta):
+def metal_groove(slope, theta, walls):
     slope, theta = radians(slope), radians(theta)
-    return grooves.turned(theta, lambda phi: grooves.albedo(slope, theta, phi, INDEX), 300)
+    return grooves.turned(theta, lambda phi: grooves.albedo(slope, theta, phi, walls), 300)
+
+
+@pytest.mark.parametrize(("slope", "theta"), [(45, 0), (45, 30), (60, 50)])
+@pytest.mark.parametrize("way", ["surface", "layers"])
+def test_coated_metal_grooves(seed, slope, theta, way):
+    """Films turn the phases of s and p apart: three bounces of skew light tell whether U and V are right."""
+    material, walls = coated(METAL)
+    layers = [layer(groove(slope), material)]
+    if way == "layers":
+        layers.insert(0, layer(FLAT, NONE, thickness=1.0))
+    table = trace(layers, 200_000, seed, theta_i_deg=[theta], wavelengths_nm=[WAVELENGTH])
+    error = np.hypot(table.albedo_std_error[:, 0], 2e-5)
+    expected = metal_groove(slope, theta, walls)
+    agrees(table.row_albedo[:, 0], error, expected, batches_of(table), precision=2e-3)
+
+
+@pytest.mark.parametrize(("slope", "theta"), [(45, 0), (60, 20), (35, 70)])
+def test_coated_glass_grooves(seed, slope, theta):
+    """Light goes in and out through films, and is reflected in the ridges by them."""
+    material, walls = coated(glass(1.5), ((2.3, 60.0), (1.38, 110.0)))
+    table = trace(
+        layer(groove(slope), material), 1_000_000, seed, theta_i_deg=[theta], wavelengths_nm=[WAVELENGTH]
+    )
+    up, down = glass_groove(slope, theta, walls)
+    agrees_albedo(table, [up], precision=2e-3)
+    agrees_albedo(table.parts["transmission"], [down], precision=2e-3)
 
 
 def test_metal_grooves_by_scalar_light_would_fail():
     """What a tracer that forgets polarisation would say of the case 45, 0 is far outside the error bars."""
     r_s, r_p = grooves_reflectance(45)
-    assert abs(((r_s + r_p) / 2) ** 2 - metal_groove(45, 0)) > 0.01
+    assert abs(((r_s + r_p) / 2) ** 2 - metal_groove(45, 0, WALLS)) > 0.01
 
 
 def grooves_reflectance(angle):
     from tests.oracles.fresnel import reflectance
 
-    return reflectance(math.cos(radians(angle)), 1.0, INDEX)
+    return reflectance(math.cos(radians(angle)), 1.0, WALLS.n)
 
 
-GLASS_CASES = [(45, 0), (45, 40), (60, 20), (30, 75), (75, 60)]
+GLASS_CASES = [(45, 0), (45, 40), (60, 20), (30, 75), (65, 60)]
 
 
 @pytest.mark.parametrize(("slope", "theta"), GLASS_CASES)
@@ -148,7 +184,7 @@ def test_glass_grooves(seed, slope, theta):
     """45 degrees at normal incidence: .004269, by scalar light .002524. Light enters the ridges and leaves them."""
     eta = 1.5
     table = trace(layer(groove(slope), glass(eta)), 3_000_000, seed, theta_i_deg=[theta])
-    up, down = glass_groove(slope, theta, eta)
+    up, down = glass_groove(slope, theta, grooves.Walls(eta))
     if (slope, theta) == (45, 0):
         assert up == pytest.approx(0.004269, abs=1e-6)
     agrees_albedo(table, [up], precision=max(2e-4, 0.01 * up))
@@ -158,11 +194,11 @@ def test_glass_grooves(seed, slope, theta):
 
 
 @cache
-def glass_groove(slope, theta, eta):
+def glass_groove(slope, theta, walls):
     slope, theta = radians(slope), radians(theta)
 
     def both(phi):
-        exits = grooves.groove(slope, theta, phi, eta, cutoff=1e-7)
+        exits = grooves.groove(slope, theta, phi, walls, cutoff=1e-7)
         return np.array([
             sum(e.share * e.weight for e in exits if (e.direction[2] > 0) == up) for up in (True, False)
         ])  # fmt: skip
@@ -175,7 +211,7 @@ def test_directions_of_light_through_glass_grooves(seed):
     table = trace(layer(groove(41.3), glass(1.6)), 400_000, seed, theta_i_deg=[0], **RINGS)
     for part, sign in ((table, 1), (table.parts["transmission"], -1)):
         want = np.zeros(90)
-        for leaving in grooves.groove(radians(41.3), 0.0, 0.0, 1.6, cutoff=1e-9):
+        for leaving in grooves.groove(radians(41.3), 0.0, 0.0, grooves.Walls(1.6), cutoff=1e-9):
             if leaving.direction[2] * sign > 0:
                 angle = math.degrees(math.acos(min(1.0, abs(leaving.direction[2]))))
                 want[min(89, int(angle))] += leaving.share * leaving.weight

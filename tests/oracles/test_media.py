@@ -383,20 +383,36 @@ def test_absorbed_energy_stands_with_its_layer(seed):
 
 
 def _absorbed_by_layers():
-    """Shares of light of 30 degrees absorbed in the two media and the base, from the light at the base.
-
-    The base absorbs (1 - rho) of what arrives on it, and that is by reciprocity what a Lambertian source there
-    sends up; the media's parts follow from derivatives of the reflectance with respect to their
-    absorption: absorbed = -d R / d ln(weight) has no closed form, so the base's part and the sum are compared.
-    """
+    """Shares of light of 30 degrees absorbed in the two media and the base: differences of net fluxes."""
     nodes = planar.make_nodes((1.0, 1.3, 1.5), [30])
-    upper = (
-        planar.interface(nodes, 1.0, 1.5)
-        .over(planar.clear(nodes, 1.5, 0.3))
-        .over(planar.interface(nodes, 1.5, 1.3))
-        .over(planar.medium(nodes, 1.3, 1.2, 1.0 / 1.2, isotropic))
-    )
+    top = planar.interface(nodes, 1.0, 1.5).over(planar.clear(nodes, 1.5, 0.3))
+    cloud = planar.interface(nodes, 1.5, 1.3).over(planar.medium(nodes, 1.3, 1.2, 1.0 / 1.2, isotropic))
     base = planar.lambert(nodes, 1.3, 0.6)
-    arrives = (upper.r_below @ base.r).resolvent() @ upper.t  # light going down just above the base
-    onto_base = planar.albedo(arrives, nodes, 0)
-    return {"absorbed: layer 3 surface": 0.4 * onto_base}
+    below = cloud.over(base)
+    down = (top.r_below @ below.r).resolvent() @ top.t  # just above the second interface
+    onto_cloud = planar.albedo(down, nodes, 0) - planar.albedo(below.r @ down, nodes, 0)
+    above = top.over(cloud)
+    onto_base = planar.albedo((above.r_below @ base.r).resolvent() @ above.t, nodes, 0)
+    return {
+        "absorbed: layer 1 surface": 0.0,
+        "absorbed: layer 1 medium": 1 - planar.albedo(top.over(below).r, nodes, 0) - onto_cloud,
+        "absorbed: layer 2 surface": 0.0,
+        "absorbed: layer 2 medium": onto_cloud - 0.4 * onto_base,
+        "absorbed: layer 3 surface": 0.4 * onto_base,
+    }
+
+
+def test_light_from_a_cloud_enters_glass_within_the_critical_angle(seed):
+    """Total reflection backwards: no light in the glass is beyond asin(1/1.5) of the normal."""
+    layers = [layer(FLAT, NONE, sigma_s=1.0, thickness=1.0), layer(FLAT, glass(1.5))]
+    table = trace(layers, 200_000, seed, theta_i_deg=[20, 70], theta_step_deg=1, phi_step_deg=180)
+    through = table.parts["transmission"]
+    beyond = np.sin(through.theta_r_edges[:-1]) > 1 / 1.5
+    assert through.hits[:, beyond].sum() == 0
+    r, t = by_adding(
+        [20, 70],
+        lambda nodes: planar.medium(nodes, 1.0, 1.0, 1.0, isotropic).over(planar.interface(nodes, 1.0, 1.5)),
+        (1.0, 1.5),
+    )
+    agrees_albedo(table, r, precision=4e-3)
+    agrees_albedo(through, t, precision=4e-3)

@@ -51,6 +51,22 @@ def test_lossless_slab(seed, eta, below):
     ledger_adds_up(table)
 
 
+def test_orders_of_a_slab(seed):
+    """A bounce is a meeting with an interface: reflected or refracted. Every order has its closed form."""
+    cos_i = math.cos(math.radians(60))
+    table = trace(slab(1.7), 400_000, seed, theta_i_deg=[60], orders=6)
+    f = fresnel.reflectance(cos_i, 1.0, 1.7)
+    up = {1: f, 3: (1 - f) ** 2 * f, 5: (1 - f) ** 2 * f**3}
+    down = {2: (1 - f) ** 2, 4: (1 - f) ** 2 * f**2}
+    for whole, orders in ((table, up), (table.parts["transmission"], down)):
+        for k in range(1, 6):
+            part = whole.parts[f"L{k}"]
+            if k in orders:
+                agrees(part.row_albedo, part.albedo_std_error, orders[k].mean(), batches_of(table), 2e-3)
+            else:
+                assert np.all(part.row_albedo == 0)
+
+
 def test_absorbing_slab(seed):
     """Beer and Lambert along the refracted path, at three absorptions along one path."""
     tau = [0.05, 0.4, 3.0]
@@ -244,7 +260,7 @@ def test_averaged_over_its_thickness_a_film_is_the_incoherent_slab():
 
 
 def test_dispersion_is_as_if_each_wavelength_were_traced_alone(seed):
-    """Channels that refract apart, through a prism-like groove and a slab of absorbing glass."""
+    """Channels that refract apart, in a plate of absorbing glass on glass."""
     etas = [1.3, 1.5, 1.9]
     layers = [layer(FLAT, glass(etas), thickness=1.0, sigma_a=0.3), layer(FLAT, glass([1.0, 1.2, 1.0]))]
     table = trace(layers, 1_000_000, seed, theta_i_deg=ANGLES, wavelengths_nm=WAVELENGTHS)
