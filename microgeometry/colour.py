@@ -75,6 +75,19 @@ def rgb_matrix(samples_nm: ArrayLike, illuminant: str) -> NDArray[np.float64]:
     return matrix / matrix.sum(axis=1, keepdims=True)
 
 
+def rgb_luminance(illuminant: str) -> NDArray[np.float64]:
+    """Weights of R, G and B of `rgb_matrix` in the luminance Y; they sum to 1.
+
+    R, G or B of a colour outside the gamut lie outside 0 to 1, its luminance never does.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+    """
+    white = SRGB_FROM_XYZ @ xyz_weights([550.0], illuminant).sum(axis=1)
+    return np.linalg.inv(SRGB_FROM_XYZ)[1] * white
+
+
 @cache
 def _observer(illuminant: str) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Wavelengths (401,), colour-matching functions (3, 401) and the illuminant's power (401,)."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from microgeometry.colour import ILLUMINANTS, rgb_matrix
+from microgeometry.colour import ILLUMINANTS, rgb_luminance, rgb_matrix
 from microgeometry.keys import Keys
 
 CIE_RANGE_NM = (405.0, 705.0)
@@ -52,6 +52,8 @@ class Grid:
         Matrix (C, S), channels = matrix @ samples; each row sums to 1. None where the channels are the samples.
     orders : int
         K.
+    luminance : tuple of float, or None
+        Weights of the channels in the luminance Y, where `to_channels` leads to sRGB.
 
     Notes
     -----
@@ -77,6 +79,7 @@ class Grid:
     samples_nm: tuple[float, ...] | None = None
     to_channels: tuple[tuple[float, ...], ...] | None = None
     orders: int = 1
+    luminance: tuple[float, ...] | None = None
 
     @property
     def n_samples(self) -> int:
@@ -103,6 +106,7 @@ class Grid:
             if any(b <= a for a, b in pairwise(theta_i)):
                 raise keys.error("theta_i_deg", "must increase from angle to angle; sort them, each once")
         wavelengths, channels, samples, matrix = _channels(keys, list(optics))
+        luminance = None if matrix is None else rgb_luminance(_illuminant(keys))
         return cls(
             wavelengths,
             channels,
@@ -112,6 +116,7 @@ class Grid:
             samples,
             matrix,
             keys.integer("orders", 1, at_least=1, at_most=16),
+            None if luminance is None else tuple(luminance.tolist()),
         )
 
 
@@ -140,7 +145,7 @@ def _channels(keys: Keys, optics: list[Mapping[str, Any]]) -> _Channels:
         first, last = CIE_RANGE_NM
         step = _step(keys, "wavelength_step_nm", 15.0, last - first, "nm")
         samples = np.linspace(first, last, 1 + round((last - first) / step))
-        matrix = rgb_matrix(samples, keys.choice("illuminant", "D65", ILLUMINANTS))
+        matrix = rgb_matrix(samples, _illuminant(keys))
         rows = tuple(tuple(row) for row in matrix.tolist())
         return None, ("R", "G", "B"), tuple(samples.tolist()), rows
     for key in ("wavelength_step_nm", "illuminant"):
@@ -151,6 +156,10 @@ def _channels(keys: Keys, optics: list[Mapping[str, Any]]) -> _Channels:
                 "films); leave it out",
             )
     return chosen
+
+
+def _illuminant(keys: Keys) -> str:
+    return keys.choice("illuminant", "D65", ILLUMINANTS)
 
 
 def _is_spectral(table: Mapping[str, Any]) -> bool:

@@ -184,7 +184,8 @@ def _albedo_panel(panel: Axes, table: Table, overlays: Mapping[str, Table]) -> N
             )  # fmt: skip
     panel.set_xlabel("theta_i (degrees)")
     panel.set_xlim(0, 90)
-    panel.set_ylim(0, 1.05)
+    # red of a colour outside sRGB's gamut, as gold's, may be above 1
+    panel.set_ylim(0, 1.05 * max(1.0, float(table.row_albedo.max())))
     panel.legend(fontsize=8, frameon=False)
 
 

@@ -188,6 +188,15 @@ class Table:
         """Projected solid angle of each cell, both signs of delta phi, sr, shape (R, P); sums to pi."""
         return projected_solid_angles(self.theta_r_edges, self.delta_phi_edges)
 
+    @property
+    def luminance(self) -> Array | None:
+        """Weights of the channels in the luminance Y, shape (C,), where they are CIE colour; else None.
+
+        R, G or B of a colour outside the gamut of sRGB lie outside 0 to 1; its luminance does not.
+        """
+        weights = self.provenance.get("colour", {}).get("luminance")
+        return None if weights is None else np.array(weights, float)
+
     def replace(self, **changes: Any) -> Table:
         """A copy with some fields changed, checked like a new table."""
         return Table(**{f.name: changes.get(f.name, getattr(self, f.name)) for f in fields(self)})

@@ -148,7 +148,8 @@ class Measurement:
             raise TraceError("no batch was traced yet: there is no table; trace at least one")
         self._check_lost(LOST_LIMIT)
         grid = self.specimen.grid
-        ledger, provenance = dict(self.tally.ledger), self._provenance()
+        ledger = {n: energy for n, energy in self.tally.ledger.items() if n not in self.tracer.empty_columns}
+        provenance = self._provenance()
         hemispheres = []
         for total, orders in zip(self.tally.totals, self.tally.orders, strict=True):
             parts = {
@@ -199,6 +200,19 @@ class Measurement:
                 f"{limit:g} may be): they fell through the surface. {self._advice()}"
             )
 
+    def _colour(self) -> dict[str, Any]:
+        """What the channels are where they are sums over wavelengths."""
+        grid = self.specimen.grid
+        if grid.to_channels is None:
+            return {}
+        colour = {
+            "channels": "linear sRGB, CIE 1931 2-degree observer",
+            "samples_nm": grid.samples_nm,
+            "to_channels": grid.to_channels,
+            "luminance": grid.luminance,
+        }
+        return {"colour": colour}
+
     def _advice(self) -> str:
         if len(self.specimen.layers) > 1:
             return (
@@ -225,6 +239,7 @@ class Measurement:
             "rays": self.tally.rays,
             "seconds": self.seconds,
             "paths_per_second": paths / self.seconds,
+            **self._colour(),
             "surface": surfaces[0],
             "surfaces": surfaces,
             "versions": {

@@ -44,6 +44,8 @@ class Tracer:
         1, or 2 where light can leave below.
     ledger_names : tuple of str
         Further columns of the ledger: energy absorbed, for each layer at its surface and in its medium.
+    empty_columns : set of str
+        Those of media that do not exist.
 
     Raises
     ------
@@ -66,6 +68,9 @@ class Tracer:
                 for number in range(1, len(layers) + 1)
                 for what in ("surface", "medium")
             )
+        self.empty_columns = {
+            name for name, layer in zip(self.ledger_names[1::2], layers, strict=False) if layer.medium is None
+        }
         grid = specimen.grid
         self._to_channels = None if grid.to_channels is None else np.array(grid.to_channels)
         self._statistics: list[list[SurfaceStatistics]] = []

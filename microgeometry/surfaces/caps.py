@@ -37,6 +37,7 @@ class Caps:
       kept if it overlaps none before (36 caps to a tile).
     - ``radius`` (1) of the sphere in ``units`` ("um"). It changes no result in geometric optics.
     - ``segments`` (64): straight edges along the rim of a cap; the facets inside are of the same size.
+    - ``plane``: the table of a material for the flat part, whose faces have the label 1; by default the caps'.
 
     A cap is a polyhedron with its vertices on the sphere, so its rim encloses (2 pi / segments)^2 / 6 less
     than the disc (0.16 % at 64). Its facets are drawn anew for each seed: on mirrors each is a delta, and

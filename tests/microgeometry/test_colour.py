@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from microgeometry import colour
-from microgeometry.colour import ILLUMINANTS, SRGB_FROM_XYZ, rgb_matrix, xyz_weights
+from microgeometry.colour import ILLUMINANTS, SRGB_FROM_XYZ, rgb_luminance, rgb_matrix, xyz_weights
 from microgeometry.columns import read_columns
 from microgeometry.grid import CIE_RANGE_NM
 from microgeometry.indices import refractive_index
@@ -120,3 +120,13 @@ def test_step_is_fine_enough(step, name, film, error):
     samples = np.arange(CIE_RANGE_NM[0], CIE_RANGE_NM[1] + 1, step)
     rgb, exact = (rgb_matrix(w, "D65") @ reflectance(w, name, film) for w in (samples, EVERY_NM))
     assert np.abs(rgb - exact).max() < error
+
+
+@pytest.mark.parametrize("illuminant", ILLUMINANTS)
+def test_luminance_of_rgb_is_y(illuminant):
+    samples = np.linspace(405, 705, 21)
+    reflectance = np.random.default_rng(0).uniform(0, 1, 21)
+    rgb = rgb_matrix(samples, illuminant) @ reflectance
+    y = xyz_weights(samples, illuminant)[1] @ reflectance
+    assert rgb_luminance(illuminant) @ rgb == pytest.approx(y, rel=1e-12)
+    assert rgb_luminance(illuminant).sum() == pytest.approx(1, rel=1e-12)

@@ -90,6 +90,12 @@ def test_albedo_has_a_second_panel_for_transmittance():
     assert len(plots.albedo(lambert_table(0.5)).axes) == 1
 
 
+def test_albedo_above_one_is_seen():
+    """Linear sRGB of a colour outside its gamut has such a component."""
+    (panel,) = plots.albedo(lambert_table(1.2)).axes
+    assert panel.get_ylim()[1] > 1.2
+
+
 def test_of_many_wavelengths_a_few_are_drawn_in_their_colours():
     grey = lambert_table(0.5, tint=(1.0,))
     nm = np.linspace(400, 700, 31)

@@ -231,3 +231,23 @@ def test_report_is_json_and_text():
 
 def test_single_cell_table():
     assert check(make(ggx(0.5, 0.5), grid(1, 1, 1))).passed
+
+
+def test_colours_outside_the_gamut_are_judged_by_luminance():
+    """Gold's linear red is above 1, a deep cyan's is below 0; neither makes or destroys light."""
+    weights = (0.2126, 0.7152, 0.0722)
+    table = make(ggx(0.5, 0.5), grid(10, 10, 12), tint=(1, 1, 1))
+    gold, cyan = (
+        table.replace(
+            values=table.values * tint, row_albedo=table.row_albedo * tint,
+            provenance={**table.provenance, "colour": {"luminance": list(weights)}},
+        )
+        for tint in (np.array([1.04, 0.73, 0.37]) / table.row_albedo.max(), np.array([-0.1, 0.5, 0.6]))
+    )  # fmt: skip
+    for colour in (gold, cyan):
+        assert named(check(colour), "energy").passed
+        assert named(check(colour), "positivity").passed
+        assert not check(colour.replace(provenance={})).passed
+    white = gold.replace(row_albedo=gold.row_albedo * 1.4)
+    assert named(check(white), "energy").passed is False
+    assert named(check(cyan.replace(values=-cyan.values)), "positivity").passed is False

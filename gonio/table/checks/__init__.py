@@ -60,13 +60,17 @@ def _energy(table: Table) -> Check:
         what = "albedo with transmittance"
         energy = energy + transmission.row_albedo
         error = error + transmission.albedo_std_error  # which bounds the sum's however they are correlated
+    channels: tuple[str, ...] = table.channels
+    if table.luminance is not None:  # red of gold is above 1, its luminance is not
+        channels = ("luminance",)
+        energy, error = (energy @ table.luminance)[:, None], (error @ np.abs(table.luminance))[:, None]
     allowed = 1.0 + _limit(energy.size) * error + 1e-6
     worst = np.unravel_index(np.argmax(energy - allowed), energy.shape)
     passed = bool(np.all(energy <= allowed))
     detail = (
         f"largest {what} {energy.max():.6f}; closest to its limit {allowed[worst]:.6f} is "
         f"{energy[worst]:.6f} at theta_i = {np.degrees(table.theta_i[worst[0]]):.4g} deg, "
-        f"channel {table.channels[worst[1]]}"
+        f"channel {channels[worst[1]]}"
     )
     return Check("energy", passed, detail, {"albedo_max": table.row_albedo.max(), "energy_max": energy.max()})
 
@@ -107,11 +111,18 @@ def _orders(table: Table, name: str) -> Check:
 
 
 def _positivity(table: Table) -> Check:
-    error = np.zeros(()) if table.std_error is None else table.std_error
-    negative = table.values < -_limit(table.values.size) * error
-    count = int(np.count_nonzero(negative)) + int(np.count_nonzero(table.specular < 0))
-    detail = f"{count} of {table.values.size} values are negative beyond their error"
-    return Check("positivity", count == 0, detail, {"negative": count, "lowest": table.values.min()})
+    values, specular = table.values, table.specular
+    error = np.zeros_like(values) if table.std_error is None else table.std_error
+    if table.luminance is not None:
+        values, specular, error = (
+            values @ table.luminance,
+            specular @ table.luminance,
+            error @ abs(table.luminance),
+        )
+    negative = values < -_limit(values.size) * error - _ROUNDING * np.abs(table.values).max()
+    count = int(np.count_nonzero(negative)) + int(np.count_nonzero(specular < -_ROUNDING))
+    detail = f"{count} of {values.size} values are negative beyond their error"
+    return Check("positivity", count == 0, detail, {"negative": count, "lowest": values.min()})
 
 
 def _noise(table: Table) -> Check:
