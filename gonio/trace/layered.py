@@ -62,6 +62,7 @@ from gonio.trace.volume import fly, scatter
 
 _UP = (0.0, 0.0, 1.0)
 _DOWN = (0.0, 0.0, -1.0)
+_NOTHING = 1e-9  # a share of energy that rounding may take
 
 
 @kernel(allocates=False)
@@ -135,9 +136,9 @@ def trace_path(
                 limit = (gap - depth) / -v[2]
             elif v[2] > 0.0:
                 limit = depth / v[2]
-            distance, collided = fly(media, medium, light, limit, path, event, seed, batch)
+            distance, collided = fly(media, medium, share, light, limit, path, event, seed, batch)
             if medium > 0:
-                absorbed[2 * medium - 1] += energy - _energy(light, share)
+                absorbed[2 * medium - 1] += _lose(light, share, energy, bounces, path, event, 4, seed, batch)
             if not collided and limit == math.inf:
                 return (TRANSMITTED if zone == n_zones and v[2] < 0.0 else LOST), v, bounces, straight, rays
             corner_x += distance * v[0]
@@ -162,11 +163,11 @@ def trace_path(
                     return KILLED, v, bounces, straight, rays
                 bounces += 1
                 v, e, crossed, specular = interact(
-                    facets, tables, media, polarised, layer, material, front, v, _UP if front else _DOWN, e, light,
-                    scratch, path, event, seed, batch,
+                    facets, tables, media, share, polarised, layer, material, front, v, _UP if front else _DOWN,
+                    e, light, scratch, path, event, seed, batch,
                 )  # fmt: skip
                 straight = straight and specular
-                absorbed[2 * layer] += energy - _energy(light, share)
+                absorbed[2 * layer] += _lose(light, share, energy, bounces, path, event, 2, seed, batch)
             if crossed:
                 medium = layer + 1 if front else layer
             in_gap = True
@@ -177,8 +178,6 @@ def trace_path(
                 return _left(light), v, bounces, straight, rays
             else:
                 depth = zones.gap[zone]
-            if bounces >= ROULETTE_BOUNCES:
-                absorbed[2 * layer] += _roulette(light, share, path, event, seed, batch)
             continue
         else:
             box = zones.box[zone]
@@ -203,10 +202,10 @@ def trace_path(
                 limit = float(ray[T_FAR])
             else:
                 limit, face = _to_face(box, x, y, z, v)
-            distance, collided = fly(media, medium, light, limit * metres, path, event, seed, batch)
+            distance, collided = fly(media, medium, share, light, limit * metres, path, event, seed, batch)
             distance /= metres
             if medium > 0:
-                absorbed[2 * medium - 1] += energy - _energy(light, share)
+                absorbed[2 * medium - 1] += _lose(light, share, energy, bounces, path, event, 4, seed, batch)
                 energy = _energy(light, share)
             x += distance * v[0]
             y += distance * v[1]
@@ -248,11 +247,13 @@ def trace_path(
                             return KILLED, v, bounces, straight, rays
                         bounces += 1
                         v, e, crossed, specular = interact(
-                            facets, tables, media, polarised, layer, material, front, v, n, e, light,
+                            facets, tables, media, share, polarised, layer, material, front, v, n, e, light,
                             scratch, path, event, seed, batch,
                         )  # fmt: skip
                         straight = straight and specular and n[0] == 0.0 and n[1] == 0.0
-                        absorbed[2 * layer] += energy - _energy(light, share)
+                        absorbed[2 * layer] += _lose(
+                            light, share, energy, bounces, path, event, 2, seed, batch
+                        )
                     if crossed:
                         medium = layer + 1 if front else layer
                 # single precision puts a hit a little off the facet: step off it, to the side the path goes on
@@ -260,8 +261,6 @@ def trace_path(
                 x += step * n[0]
                 y += step * n[1]
                 z += step * n[2]
-                if bounces >= ROULETTE_BOUNCES:
-                    absorbed[2 * layer] += _roulette(light, share, path, event, seed, batch)
                 continue
         # a collision, in the gap or between facets
         if bounces >= max_bounces:
@@ -271,8 +270,6 @@ def trace_path(
         energy = _energy(light, share)
         v, e = scatter(media, medium, polarised, v, e, light, path, event, seed, batch)
         absorbed[2 * medium - 1] += energy - _energy(light, share)
-        if bounces >= ROULETTE_BOUNCES:
-            absorbed[2 * medium - 1] += _roulette(light, share, path, event, seed, batch)
     return LOST, v, bounces, straight, rays
 
 
@@ -332,19 +329,20 @@ def _to_face(box, x, y, z, v):
 
 
 @kernel(allocates=False)
-def _roulette(light, share, path, event, seed, batch):
-    """Russian roulette on the strongest sample: survivors carry the energy of those that end here.
+def _lose(light, share, before, bounces, path, event, dimension, seed, batch):
+    """What the light lost of the energy it had before; after a few bounces, whoever loses plays Russian roulette.
+
+    Survivors carry the energy of those that end; nobody plays where nothing is absorbed, so that the ledger
+    shows nothing there.
 
     Returns
     -------
     float
-        Energy that ended, or, negative, that was given to the survivor.
+        Energy lost, that of a path that ends or, negative, that given to a survivor included.
     """
-    survival = _strongest(light)
-    if survival >= 1.0:
-        return 0.0
     energy = _energy(light, share)
-    u, _, _, _ = uniforms(path, path >> 32, event, 2, seed, batch)
-    for s in range(light.shape[0]):
-        scale(light[s], 1.0 / survival if u < survival else 0.0)
-    return energy - _energy(light, share)
+    if bounces >= ROULETTE_BOUNCES and energy < min(1.0, before * (1.0 - _NOTHING)):
+        u, _, _, _ = uniforms(path, path >> 32, event, dimension, seed, batch)
+        for s in range(light.shape[0]):
+            scale(light[s], 1.0 / energy if u < energy else 0.0)
+    return before - _energy(light, share)
