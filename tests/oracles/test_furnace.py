@@ -85,7 +85,7 @@ def test_glass_surfaces_over_white(seed, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("eta", [1.5, 0.7, 4.0, 0.25])
+@pytest.mark.parametrize("eta", [1.5, pytest.param(0.7, marks=pytest.mark.slow), 4.0, 0.25])
 def test_glass_surfaces_reflect_or_transmit_all(seed, name, eta):
     table = trace(layer(SURFACES[name], glass(eta)), 30_000, seed, theta_i_deg=ANGLES)
     all_light(table)

@@ -124,7 +124,7 @@ def test_metal_grooves_keep_polarisation(seed, slope, theta, way):
     """Fields by 3 x 3 matrices, at any incidence; traced by packets, and as a stack under an idle layer."""
     layers = [layer(groove(slope), METAL)]
     if way == "layers":
-        layers.insert(0, layer(FLAT, NONE, thickness=1.0))
+        layers.insert(0, layer(FLAT, NONE, thickness=20.0))
     table = trace(layers, 200_000, seed, theta_i_deg=[theta])
     expected = metal_groove(slope, theta, WALLS)
     error = np.hypot(table.albedo_std_error[:, 0], 2e-5)
@@ -138,18 +138,28 @@ def metal_groove(slope, theta, walls):
     return grooves.turned(theta, lambda phi: grooves.albedo(slope, theta, phi, walls), 300)
 
 
-@pytest.mark.parametrize(("slope", "theta"), [(45, 0), (45, 30), (60, 50)])
+# Phases tell only in skew light after four bounces or more: U, made of Q by the turn from wall to wall, becomes V,
+# V becomes U, and U becomes Q. By real amplitudes these two would be off by -.0058 and -.0139.
+TURNING = ({"kind": "conductor", "eta": 0.8, "k": 2.0}, 80, 65, ())
+TURNING_IN_A_FILM = ({"kind": "conductor", "eta": 0.2, "k": 3.0}, 84, 65, ((2.3, 0.2 * WAVELENGTH),))
+
+
+@pytest.mark.parametrize(
+    ("metal", "slope", "theta", "films"),
+    [(METAL, 45, 30, FILMS), (METAL, 60, 50, FILMS), TURNING, TURNING_IN_A_FILM],
+    ids=["45-30", "60-50", "turning", "turning in a film"],
+)
 @pytest.mark.parametrize("way", ["surface", "layers"])
-def test_coated_metal_grooves(seed, slope, theta, way):
-    """Films turn the phases of s and p apart: three bounces of skew light tell whether U and V are right."""
-    material, walls = coated(METAL)
-    layers = [layer(groove(slope), material)]
+def test_coated_metal_grooves(seed, metal, slope, theta, films, way):
+    """Films and metals turn the phases of s and p apart, and the light's U and V with them."""
+    material, walls = coated(metal, films)
+    layers = [layer(groove(slope), material if films else metal)]
     if way == "layers":
-        layers.insert(0, layer(FLAT, NONE, thickness=1.0))
-    table = trace(layers, 200_000, seed, theta_i_deg=[theta], wavelengths_nm=[WAVELENGTH])
-    error = np.hypot(table.albedo_std_error[:, 0], 2e-5)
+        layers.insert(0, layer(FLAT, NONE, thickness=20.0))
+    table = trace(layers, 400_000, seed, theta_i_deg=[theta], wavelengths_nm=[WAVELENGTH])
+    error = np.hypot(table.albedo_std_error[:, 0], 1e-4)
     expected = metal_groove(slope, theta, walls)
-    agrees(table.row_albedo[:, 0], error, expected, batches_of(table), precision=2e-3)
+    agrees(table.row_albedo[:, 0], error, expected, batches_of(table), precision=1.5e-3)
 
 
 @pytest.mark.parametrize(("slope", "theta"), [(45, 0), (60, 20), (35, 70)])
