@@ -145,7 +145,9 @@ def trace_path(
             if medium > 0:
                 absorbed[2 * medium - 1] += _lose(light, share, energy, bounces, path, event, 4, seed, batch)
             if not collided and limit == math.inf:
-                return (TRANSMITTED if zone == n_zones and v[2] < 0.0 else LOST), v, bounces, straight, rays
+                if zone < n_zones or v[2] >= 0.0:
+                    return LOST, v, bounces, straight, rays
+                return (TRANSMITTED if _strongest(light) > 0.0 else ABSORBED), v, bounces, straight, rays
             corner_x += distance * v[0]
             corner_y += distance * v[1]
             depth -= distance * v[2]

@@ -210,7 +210,10 @@ def test_overhangs(seed, tmp_path, material):
     total = table.row_albedo + (
         table.parts["transmission"].row_albedo if "transmission" in table.parts else 0
     )
-    assert total == pytest.approx(1.0, abs=1e-9)
+    # total reflection holds some light in a prism for as many bounces as it is given
+    held = table.ledger["killed"] / (table.ledger["paths"] / 3)
+    assert held < 1e-3 if material["kind"] == "dielectric" else held == 0
+    assert total.sum() == pytest.approx(3.0 - held, abs=1e-9)
     ledger_adds_up(table)
 
 
