@@ -106,12 +106,13 @@ def trace_surface(
     weight = np.empty((PACKET_WIDTH, samples))
     polarisation = None if eta_k is None else np.empty((PACKET_WIDTH, samples, 3))
     axis = None if eta_k is None else np.empty((PACKET_WIDTH, 3))
+    retreat = np.empty((PACKET_WIDTH, 3), np.float32)
     bounces = np.zeros(PACKET_WIDTH, np.int64)
     status = np.zeros(PACKET_WIDTH, np.int64)
     absorbed = np.zeros(samples)
     _trace_packets(
         embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
-        new_packet(), weight, polarisation, axis, bounces, status, absorbed,
+        new_packet(), weight, polarisation, axis, retreat, bounces, status, absorbed,
     )  # fmt: skip
 
 
@@ -119,7 +120,7 @@ def trace_surface(
 @kernel(allocates=False)
 def _trace_packets(
     embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
-    packet, weight, polarisation, axis, bounces, status, absorbed,
+    packet, weight, polarisation, axis, retreat, bounces, status, absorbed,
 ):  # fmt: skip
     packets = part.strata_x * part.strata_y
     dx = box.width_x / (4 * part.strata_x)
@@ -133,7 +134,7 @@ def _trace_packets(
         mirror_x, mirror_y = packet[DIR_X, 0], packet[DIR_Y, 0]
         sums.ledger[RAYS] += trace_packet(
             embree, box, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path,
-            weight, polarisation, axis, bounces, status, absorbed,
+            weight, polarisation, axis, retreat, bounces, status, absorbed,
         )  # fmt: skip
         for lane in range(PACKET_WIDTH):
             x, y, z = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]

@@ -14,7 +14,7 @@ from gonio.trace.transport import MAX_SEGMENTS
 from microgeometry.specimen import Specimen
 from microgeometry.tile import SurfaceStatistics, Tile
 
-MAX_BOUNCES = 256
+MAX_BOUNCES = 10_000
 _STATISTICS_TILES = 8  # realisations whose facets are measured
 _COHERENT_FACETS = 8  # facets per path of a row below which coherent packets are faster (measured)
 
