@@ -136,18 +136,20 @@ def ledger_adds_up(table):
     assert ledger["lost"] <= max(1.0, 1e-6 * ledger["paths"])
 
 
-def keeps_all_light(table):
-    """Assert that everything leaves, above or below, in every row: each path keeps its whole weight."""
+def keeps_all_light(table, trapped=0.0):
+    """Assert that everything leaves, above or below, in every row: each path keeps its whole weight.
+
+    `trapped` is the share of paths that may still be bouncing at the cap: total reflection between the flat
+    facets of a glass prism holds some for as long as one follows them.
+    """
     ledger_adds_up(table)
-    killed = table.ledger["killed"]
-    assert killed == 0, (
-        f"{killed:.0f} of {table.ledger['paths']:.0f} paths were cut off by the cap on bounces"
-    )
+    killed, paths = table.ledger["killed"], table.ledger["paths"]
+    assert killed <= trapped * paths, f"{killed:.0f} of {paths:.0f} paths were cut off by the cap on bounces"
     total = table.row_albedo.copy()
     if "transmission" in table.parts:
         total += table.parts["transmission"].row_albedo
-    lost = table.ledger["lost"] * len(total) / table.ledger["paths"]
-    assert np.abs(total - 1.0).max() <= 1e-9 + lost, total
+    missing = (table.ledger["lost"] + killed) * len(total) / paths
+    assert np.abs(total - 1.0).max() <= 1e-9 + missing, total
     assert abs(table.ledger["absorbed"]) <= 1e-6
 
 
