@@ -70,6 +70,7 @@ def sample(variant, p, wi, u0, u1):
     Which of the two is drawn by the flat surface's Fresnel reflectance, kept off 0 and 1: the facet's own
     would need a third number. 0 0 0 where refraction was drawn and the facet reflects totally.
     """
+    below = wi[2] < 0.0
     wi, _, eta = _upright(p, wi, wi)
     share = _reflected_share(wi[2], eta)
     if u0 < share:
@@ -78,13 +79,13 @@ def sample(variant, p, wi, u0, u1):
     else:
         wm = visible_ggx(p[SHAPE], wi, (u0 - share) / (1.0 - share), u1)
         wo, _ = refract((-wi[0], -wi[1], -wi[2]), wm, eta)
-    return wo
+    return (wo[0], wo[1], -wo[2]) if below else wo
 
 
 @kernel(allocates=False)
 def pdf(variant, p, wi, wo):
     """Density of `sample`, 1/sr, over the whole sphere."""
-    if wi[2] == 0.0:
+    if wi[2] == 0.0 or wo[2] == 0.0:
         return 0.0
     wi, wo, eta = _upright(p, wi, wo)
     share = _reflected_share(wi[2], eta)
