@@ -14,12 +14,16 @@ from gonio.validation import Report, validate
 
 @dataclass(frozen=True)
 class Kit:
-    """A lobe's reflection; its transmission, turned up to the upper hemisphere, if `through`."""
+    """A lobe's reflection, or its transmission if `through`, of light from above, or from `below`.
+
+    All directions are turned up to the upper hemisphere.
+    """
 
     name: str
     shape: dict[str, float]
     weights: tuple[float, float] = (1.0, 1.0)
     through: bool = False
+    below: bool = False
 
     def eval(self, wi, wo):
         return self._upper(eval_many, wi, wo)[:, None]
@@ -29,8 +33,9 @@ class Kit:
 
     def sample(self, wi, u):
         lobe = LOBES[self.name]
-        drawn = sample_many(lobe.kind, self._packed, np.ascontiguousarray(wi), np.ascontiguousarray(u[:, :2]))
-        wo = drawn * self._side
+        wi_side, wo_side = self._sides
+        drawn = sample_many(lobe.kind, self._packed, wi * wi_side, np.ascontiguousarray(u[:, :2]))
+        wo = drawn * wo_side
         return wo, self.pdf(wi, wo)
 
     def validate(self, theta_i: tuple[float, ...], n: int) -> Report:
@@ -38,7 +43,7 @@ class Kit:
             self.eval,
             self.sample,
             self.pdf,
-            f"{self.name} {self.shape} {self.through}",
+            f"{self.name} {self.shape} {self.through} {self.below}",
             theta_i,
             n,
             reciprocal=not self.through,
@@ -46,8 +51,11 @@ class Kit:
         )
 
     @property
-    def _side(self):
-        return np.array([1.0, 1.0, -1.0 if self.through else 1.0])
+    def _sides(self):
+        return (
+            np.array([1.0, 1.0, -1.0 if self.below else 1.0]),
+            np.array([1.0, 1.0, -1.0 if self.below != self.through else 1.0]),
+        )
 
     @property
     def _packed(self):
@@ -56,11 +64,12 @@ class Kit:
     def _upper(self, function, wi, wo):
         wi, wo = np.broadcast_arrays(np.asarray(wi, float), np.asarray(wo, float))
         wi, wo = wi.reshape(-1, 3), wo.reshape(-1, 3)
+        wi_side, wo_side = self._sides
         values = function(
             LOBES[self.name].kind,
             self._packed,
-            np.ascontiguousarray(wi),
-            np.ascontiguousarray(wo * self._side),
+            wi * wi_side,
+            wo * wo_side,
         )
         return np.where((wi[:, 2] > 0) & (wo[:, 2] > 0), values, 0.0)
 

@@ -41,11 +41,13 @@ def test_mitsubas_rough_dielectric(facets: str) -> None:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("facets", ["beckmann", "ggx"])
-@pytest.mark.parametrize("eta", [1.2, 2.0])
-def test_transmission_passes_the_validation_kit(facets: str, eta: float) -> None:
-    report = Kit("walter_" + facets, {"alpha": 0.3, "eta": eta}, through=True).validate(
-        (0.0, 0.6, 1.2), 60_000
-    )
+@pytest.mark.parametrize(
+    ("eta", "through", "below"),
+    [(1.2, True, False), (2.0, True, False), (1.5, False, True), (1.5, True, True)],
+)
+def test_each_side_passes_the_validation_kit(facets: str, eta: float, through: bool, below: bool) -> None:
+    kit = Kit("walter_" + facets, {"alpha": 0.3, "eta": eta}, through=through, below=below)
+    report = kit.validate((0.0, 0.6, 1.2), 60_000)
     assert report.passed, "\n".join(report.lines())
 
 
