@@ -33,6 +33,15 @@ def test_gamma_2_is_ggx(shadowing: str, alpha: float) -> None:
         assert found == pytest.approx(terms("ggx" + shadowing, wi, wo, alpha=alpha), rel=3e-5, abs=1e-300)
 
 
+@pytest.mark.parametrize(
+    ("fresnel", "index"), [("_dielectric", {"eta": 1.5}), ("_conductor", {"eta": 0.2, "k": 3.4})]
+)
+def test_index_stands_after_gamma(fresnel: str, index: dict[str, float]) -> None:
+    pair = polar(50.0), polar(65.0, 170.0)
+    found = terms("gtr" + fresnel, *pair, alpha=0.3, gamma=2.0, **index)
+    assert found == pytest.approx(terms("ggx" + fresnel, *pair, alpha=0.3, **index), rel=3e-5)
+
+
 def test_gamma_1_and_alpha_1_are_limits() -> None:
     wi, wo = polar(30.0), polar(60.0, 150.0)
     one = terms("gtr", wi, wo, alpha=0.2, gamma=1.0)
