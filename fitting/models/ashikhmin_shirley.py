@@ -102,11 +102,12 @@ def _density(variant, p, wh):
     The power from the sine: at n = 1e6 a rounded cosine would cost ten digits.
     """
     n_u, n_v = _exponents(variant, p)
-    scale = math.sqrt((n_u + 1.0) * (n_v + 1.0)) / (2.0 * math.pi)
     sin2 = wh[0] * wh[0] + wh[1] * wh[1]
-    if sin2 == 0.0:
-        return scale
+    exponent, scale = n_u, n_u + 1.0
+    if variant == _ANISOTROPIC:
+        scale = math.sqrt((n_u + 1.0) * (n_v + 1.0))
+        if sin2 > 0.0:
+            exponent = (n_u * wh[0] * wh[0] + n_v * wh[1] * wh[1]) / sin2
     if sin2 >= 1.0:
         return 0.0
-    exponent = (n_u * wh[0] * wh[0] + n_v * wh[1] * wh[1]) / sin2
-    return scale * math.exp(0.5 * exponent * math.log1p(-sin2))
+    return scale / (2.0 * math.pi) * math.exp(0.5 * exponent * math.log1p(-sin2))
