@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fitting import Fit
 from fitting.models import LOBES
 from fitting.models.eon import missing
+from microgeometry.errors import InputError
 
 from .kit import albedo
 from .materials import material, polar, terms
@@ -74,3 +78,11 @@ def test_albedo_enters_as_a_series_in_a_material() -> None:
     expected = [rho, rho**2 / (1 - missing(0.8) * rho)]
     assert fit.terms().weights == pytest.approx(np.array(expected))
     assert len(LOBES["eon"].coefficients) == 1
+
+
+def test_an_albedo_whose_bounces_never_end_is_refused(tmp_path: Path) -> None:
+    # r = 1: 1/0.1671894 = 5.981
+    lobe = {"name": "eon", "parameters": {"roughness": 1.0}, "coefficients": {"rho": {"R": 6.0}}}
+    (tmp_path / "fit.json").write_text(json.dumps({"model": "eon", "lobes": [lobe]}))
+    with pytest.raises(InputError, match=r"rho\.R: 6\.0; less than 5\.981 is allowed"):
+        Fit.load(tmp_path / "fit.json")

@@ -105,6 +105,13 @@ def test_a_metal_of_three_lobes_is_one_plugin() -> None:
     assert base["reflectance"]["value"] == pytest.approx([0.8, 0.4, 0.2])
 
 
+def test_a_lobe_that_only_reflects_lets_nothing_through() -> None:
+    lobes = mitsuba_dict(MODELS["plain"])
+    glass = lobes["second"]["first"]
+    assert glass["type"] == "roughdielectric"
+    assert glass["specular_transmittance"] == {"type": "uniform", "value": 0.0}
+
+
 def test_what_mitsuba_has_no_plugin_for_goes_as_a_table() -> None:
     with pytest.raises(InputError, match=r"lobe beckmann: Mitsuba has no plugin equal to it; .* measured"):
         mitsuba_dict(gold())
