@@ -31,8 +31,8 @@ Array = NDArray[np.float64]
 _N_THETA_I = 19
 _VNDF = 128
 _NODES = 64  # of the spectra; 32 as in RGL's own files leave twice the error
-_EVEN = 0.3  # share of the normals spread evenly over sqrt(theta)
-_POLE = np.radians(0.5)  # down to this theta
+_EVEN = 0.7  # share of the normals spread evenly over sqrt(theta)
+_POLE = np.radians(2.0)  # down to about this theta
 _RGB = ("R", "G", "B")
 
 
@@ -246,7 +246,7 @@ def _normals(table: Table, theta: Array) -> Array:
     seen = count > 0
     centres = 0.5 * (edges[1:] + edges[:-1])
     estimate = np.interp(theta, centres[seen], total[seen] / count[seen])
-    even = 1.0 / np.maximum(theta**1.5, _POLE**1.5)
+    even = (theta**2 + _POLE**2) ** -0.75
     area = np.sin(2 * theta) * np.pi
     return (1 - _EVEN) * estimate / np.trapezoid(estimate * area, theta) + _EVEN * even / np.trapezoid(
         even * area, theta
@@ -279,9 +279,12 @@ def _check(tensors: dict[str, NDArray], path: Path) -> dict[str, Array]:
                 f"{path}: field {name!r} has shape {array.shape}; {n_dimensions} axes are expected"
             )
         array = array.astype(float)
-        if not np.all(np.isfinite(array)) or array.min() < -1e-3 * np.abs(array).max():
-            raise InputError(f"{path}: field {name!r} holds NaN, infinity or negative numbers; copy it again")
-        return np.maximum(array, 0.0)
+        if not np.all(np.isfinite(array)):
+            raise InputError(f"{path}: field {name!r} holds NaN or infinity; copy it again")
+        # values of measured colours may be negative: noise, and spectra outside of sRGB
+        if name not in ("rgb", "spectra") and array.min() < 0:
+            raise InputError(f"{path}: field {name!r} holds negative numbers; copy it again")
+        return array
 
     if "phi_i" not in tensors or tensors["phi_i"].ndim != 1:
         raise InputError(f"{path}: field 'phi_i' is missing or no list; is it an RGL BRDF?")

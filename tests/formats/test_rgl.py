@@ -79,8 +79,17 @@ def test_mitsuba_evaluates_what_we_write(name, tmp_path):
 @needs_mitsuba
 def test_mitsuba_evaluates_spectra(tmp_path):
     """Wavelengths out of order: the file has them increasing, each with its own values."""
-    table = make(asymmetric, grid(30, 30, 40), tint=(1.0, 0.5, 0.25, 0.7)).replace(
-        channels=("a", "b", "c", "d"), wavelengths_nm=(650.0, 450.0, 550.0, 600.0)
+    grey = make(asymmetric, grid(30, 30, 40), tint=(1.0,))
+    tint = np.array([1.0, 0.5, 0.25, 0.7])
+    table = Table(
+        values=grey.values * tint,
+        theta_i=grey.theta_i,
+        theta_i_edges=grey.theta_i_edges,
+        theta_r_edges=grey.theta_r_edges,
+        delta_phi_edges=grey.delta_phi_edges,
+        channels=("a", "b", "c", "d"),
+        row_albedo=grey.row_albedo * tint,
+        wavelengths_nm=(650.0, 450.0, 550.0, 600.0),
     )
     lost = table.save(tmp_path / "spectral.bsdf")
     assert not any("wavelengths" in line for line in lost)
