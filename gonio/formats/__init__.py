@@ -26,6 +26,12 @@ FORMATS: dict[str, tuple[str, ...]] = {
     ".h5": ("hdf5",),
     ".binary": ("merl",),
     ".bsdf": ("rgl", "zemax", "lighttools"),
+    ".csv": ("csv",),
+    ".npz": ("npz",),
+    ".brdf": ("speos",),
+    ".anisotropicbsdf": ("speos",),
+    ".astm": ("astm",),
+    ".xompt": ("openmaterial",),
 }
 """Suffix to modules; the first is written, and read unless the content says otherwise (`_by_content`)."""
 

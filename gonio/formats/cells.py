@@ -23,7 +23,8 @@ Look = Callable[[int, Array, Array], tuple[Array, NDArray[np.bool_]]]
 
 _SPACE = 48 << 20  # bytes any file may ask for
 _PER_BYTE = 64  # and how many more for each of its own
-_REACH = np.radians(10.0)  # a sample speaks for no more than this around it
+_REACH = np.radians(10.0)  # a sample speaks for no more than this around it,
+_FAR = np.radians(22.5)  # or than this where all are far apart
 
 
 def check_size(path: Path, n_values: float, what: str) -> None:
@@ -109,10 +110,11 @@ def midpoints(edges: Array, points: int) -> Array:
     return edges[:-1, None] + inside * np.diff(edges)[:, None]
 
 
-def cells_around(nodes: Array, last: float, reach: float = _REACH) -> tuple[Array, NDArray[np.int64]]:
+def cells_around(nodes: Array, last: float) -> tuple[Array, NDArray[np.int64]]:
     """Cells that hold one node each, with edges midway between the nodes, from 0 to `last`.
 
-    Where nodes are far apart a cell ends `reach` from its node, and a cell without a node fills the space.
+    Where nodes are far apart a cell ends 10 degrees from its node, or at half of the closest spacing, up to
+    22.5 degrees, and a cell without a node fills the space.
 
     Parameters
     ----------
@@ -120,8 +122,6 @@ def cells_around(nodes: Array, last: float, reach: float = _REACH) -> tuple[Arra
         Radians, increasing within [0, last].
     last : float
         pi/2 or pi.
-    reach : float
-        Radians; but never less than half of the closest spacing of the nodes.
 
     Returns
     -------
@@ -129,16 +129,19 @@ def cells_around(nodes: Array, last: float, reach: float = _REACH) -> tuple[Arra
     source : ndarray of int, shape (M,)
         Which node stands for the cell, -1 for none.
     """
-    edges, source = [0.0], []
+    reach = _REACH
     if len(nodes) > 1:
-        reach = max(reach, 0.5 * float(np.diff(nodes).min()))
+        reach = max(reach, min(_FAR, 0.5 * float(np.diff(nodes).min())))
     ends = np.concatenate([[0.0], 0.5 * (nodes[1:] + nodes[:-1]), [last]])
-    for n, node in enumerate(nodes):
-        low, high = max(ends[n], node - reach), min(ends[n + 1], node + reach)
-        if low > edges[-1] + 1e-9:
-            edges.append(low)
+    # a tenth more is rounding of the nodes, and no space of its own
+    low = np.where(nodes - ends[:-1] > 1.1 * reach, nodes - reach, ends[:-1])
+    high = np.where(ends[1:] - nodes > 1.1 * reach, nodes + reach, ends[1:])
+    edges, source = [0.0], []
+    for n in range(len(nodes)):
+        if low[n] > edges[-1] + 1e-9:
+            edges.append(low[n])
             source.append(-1)
-        edges.append(high)
+        edges.append(high[n])
         source.append(n)
     if edges[-1] < last - 1e-9:
         edges.append(last)

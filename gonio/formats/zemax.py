@@ -39,8 +39,8 @@ _SYMMETRIES = ("planesymmetrical", "asymmetrical", "asymmetrical4d")
 _LISTS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 _AZIMUTHS = np.arange(0.0, 181.0, 5.0)
 _RADIALS = np.concatenate(
-    [np.arange(0, 2, 0.25), np.arange(2, 5, 0.5), np.arange(5, 15, 1.0), np.arange(15, 45, 2.5), np.arange(45, 181, 5.0)]
-)  # fmt: skip
+    [np.arange(*span) for span in ((0, 2, 0.25), (2, 5, 0.5), (5, 15, 1.0), (15, 45, 2.5), (45, 181, 5.0))]
+)
 
 
 def read(path: Path) -> Table:
