@@ -26,6 +26,7 @@ FORMATS: dict[str, tuple[str, ...]] = {
     ".h5": ("hdf5",),
     ".binary": ("merl",),
     ".bsdf": ("rgl", "zemax", "lighttools"),
+    ".xml": ("radiance_xml",),
     ".csv": ("csv",),
     ".npz": ("npz",),
     ".brdf": ("speos",),
@@ -73,7 +74,15 @@ def read(path: str | os.PathLike[str]) -> Table:
     names = _names(path)
     if not path.is_file():
         raise InputError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
-    return _module(_by_content(path, names)).read(path)
+    module = _module(_by_content(path, names))
+    try:
+        # numbers beyond floating point become infinite, which a table refuses
+        with np.errstate(over="ignore", invalid="ignore"):
+            return module.read(path)
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from error
 
 
 def write(table: Table, path: str | os.PathLike[str]) -> list[str]:

@@ -21,8 +21,9 @@ from microgeometry.errors import InputError
 Array = NDArray[np.float64]
 Look = Callable[[int, Array, Array], tuple[Array, NDArray[np.bool_]]]
 
-_SPACE = 48 << 20  # bytes any file may ask for
-_PER_BYTE = 64  # and how many more for each of its own
+_SPACE = 4 << 20  # bytes any file may ask for,
+_PER_BYTE = 54  # how many for each of its own,
+_AT_MOST = 400 << 20  # and how many a grid chosen here takes
 _REACH = np.radians(10.0)  # a sample speaks for no more than this around it,
 _FAR = np.radians(22.5)  # or than this where all are far apart
 
@@ -33,7 +34,7 @@ def check_size(path: Path, n_values: float, what: str) -> None:
     Raises
     ------
     InputError
-        `n_values` numbers of 8 bytes are more than 48 MiB and more than 64 times the file.
+        `n_values` numbers of 8 bytes are more than 4 MiB and more than 54 times the file.
     """
     if 8 * n_values > max(_SPACE, _PER_BYTE * path.stat().st_size):
         raise InputError(
@@ -50,11 +51,12 @@ def uniform_grid(path: Path, n_channels: int, finest: int = 90) -> int:
     int
         n for a grid of n rows, n rings and 2 n sectors.
     """
-    for n in (finest, 60, 45, 30, 18):
-        if n <= finest and 16 * n**3 * n_channels <= max(_SPACE, _PER_BYTE * path.stat().st_size):
+    allowed = min(_AT_MOST, max(_SPACE, _PER_BYTE * path.stat().st_size))
+    for n in (90, 60, 45, 30, 18, 10):
+        if n <= finest and 16 * n**3 * n_channels <= allowed:
             return n
-    check_size(path, 2 * 18**3 * n_channels, f"{n_channels} channels")
-    return 18
+    check_size(path, 2 * 6**3 * n_channels, f"{n_channels} channels")
+    return 6
 
 
 def average_cells(

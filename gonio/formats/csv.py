@@ -77,7 +77,8 @@ def read(path: Path) -> Table:
     fields["wavelengths_nm"] = None if wavelengths is None else tuple(np.ravel(wavelengths).tolist())
     if "theta_r_edges" in notes:
         return _from_cells(path, notes, angles, values, std_error, tuple(channels), fields)
-    return table_from_points(path, *angles, values, tuple(channels), std_error, **fields)
+    theta_i, theta_r, delta_phi = angles
+    return table_from_points(path, theta_i, theta_r, delta_phi, values, tuple(channels), std_error, **fields)
 
 
 def write(table: Table, path: Path) -> list[str]:

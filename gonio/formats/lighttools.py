@@ -54,8 +54,8 @@ def read(path: Path) -> Table:
     blocks = _read_blocks(words, header, len(azimuths))
     side = "front" if any(key[0] == "front" for key in blocks) else "back"
     lost = [] if all(key[0] == side for key in blocks) else ["the back side: one side is read"]
-    blocks = {key[1:]: block for key, block in blocks.items() if key[0] == side}
-    return _tabulate(path, header["colour"], azimuths, radials, blocks, lost)
+    chosen = {key[1:]: block for key, block in blocks.items() if key[0] == side}
+    return _tabulate(path, header["colour"], azimuths, radials, chosen, lost)
 
 
 def words_list(words: Words, header: dict[str, str], name: str) -> Array:

@@ -86,7 +86,7 @@ def table_from_points(
 
     def total(numbers: Array) -> Array:
         """Sums over the samples of each cell, shape (I, R, P)."""
-        sums = np.bincount(place, numbers, int(np.prod(shape))).reshape(shape)
+        sums = np.bincount(place, numbers, int(np.prod(shape))).astype(float).reshape(shape)
         sums[on_normal] = sums[on_normal].sum(axis=1, keepdims=True)
         return sums
 

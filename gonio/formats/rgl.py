@@ -37,7 +37,7 @@ _RGB = ("R", "G", "B")
 
 
 def read(path: Path) -> Table:
-    """Read an isotropic RGL file onto cells of 1 degree, or coarser ones where there are many wavelengths.
+    """Read an isotropic RGL file onto cells of 1 degree, or coarser ones where wavelengths are many or nodes few.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def read(path: Path) -> Table:
     fields = _check(read_tensors(path), path)
     spectra = fields["spectra"]
     n_channels = spectra.shape[1]
-    n = uniform_grid(path, n_channels)
+    n = uniform_grid(path, n_channels, max(spectra.shape[-2:] + fields["vndf"].shape[-2:]))
     edges, phi_edges = np.linspace(0, np.pi / 2, n + 1), np.linspace(0, np.pi, 2 * n + 1)
     rows = row_centres(edges)
 

@@ -220,9 +220,8 @@ def _block(lines: _Lines, name: str) -> _Block:
     angles(phi, "angles phi", lines.path, 360)
     # both signs of delta phi, and 0 and 360 degrees, are one
     delta, inverse = np.unique(np.round(np.abs(180.0 - phi), 9), return_inverse=True)
-    sums = np.zeros((len(theta), len(delta)))
-    np.add.at(sums, (slice(None), inverse), values)
-    return _Block(theta, np.radians(delta), sums / np.bincount(inverse))
+    to_delta = (inverse == np.arange(len(delta))[:, None]) / np.bincount(inverse)[:, None]
+    return _Block(theta, np.radians(delta), values @ to_delta.T)
 
 
 def _mean(blocks: list[_Block]) -> _Block:

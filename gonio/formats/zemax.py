@@ -123,8 +123,8 @@ def write(table: Table, path: Path) -> list[str]:
         f"ScatterType  {'BTDF' if transmits else 'BRDF'}",
     ]
     aoi = np.degrees(table.theta_i)
-    for name, values in zip(_LISTS, ([0.0], aoi, _AZIMUTHS, _RADIALS), strict=True):
-        lines += [f"{name}  {len(values)}", "\t".join(f"{v:.8g}" for v in values)]
+    for name, degrees in zip(_LISTS, (np.zeros(1), aoi, _AZIMUTHS, _RADIALS), strict=True):
+        lines += [f"{name}  {len(degrees)}", "\t".join(f"{v:.8g}" for v in degrees)]
     azimuth, radial = np.radians(_AZIMUTHS)[:, None], np.radians(_RADIALS)
     rows = []
     for theta_i in table.theta_i:
