@@ -80,9 +80,9 @@ def read(path: str | os.PathLike[str]) -> Table:
         with np.errstate(over="ignore", invalid="ignore"):
             return module.read(path)
     except InputError as error:
-        if str(path) in str(error):
-            raise
-        raise InputError(f"{path}: {error}") from error
+        text = str(error) if str(path) in str(error) else f"{path}: {error}"
+        # what is quoted from a damaged file may hold anything
+        raise InputError("".join(c if c.isprintable() else " " for c in text)) from error
 
 
 def write(table: Table, path: str | os.PathLike[str]) -> list[str]:
