@@ -42,8 +42,9 @@ def read(path: Path) -> Table:
     Returns
     -------
     Table
-        Rows that are cells of incidence; channels R, G, B or wavelengths. No error bars. Directions that
-        the file's own grid marks as never measured are not known here: RGL has extrapolated them.
+        Rows that are cells of incidence; channels R, G, B or wavelengths. No error bars, and no gaps: RGL has
+        extrapolated what was not measured, and the marks of its field ``valid`` contradict each other
+        between files. Colours outside of sRGB are negative in a channel, as in the file.
 
     Raises
     ------
