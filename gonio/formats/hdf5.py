@@ -153,7 +153,8 @@ def _check_heaps(path: Path) -> None:
                 free = data[at : at + 2] == b"\0\0"
                 if free and size < 16:
                     raise InputError(
-                        f"{path}: damaged HDF5 file (a heap object of {size} bytes at byte {at}); copy or trace it again"
+                        f"{path}: damaged HDF5 file (a heap object of {size} bytes at byte {at}); copy or trace "
+                        "it again"
                     )
                 at += size if free else 16 + (size + 7) // 8 * 8
             start = data.find(_HEAP, start + 1)
