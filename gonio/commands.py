@@ -124,9 +124,23 @@ def compress(table: Path, out: Path, max_error: float, as_json: bool) -> None:
     "L1, transmission/L1, ...; `gonio info` names them.",
 )
 def convert(source: Path, target: Path, part: str | None) -> None:
-    """Convert a table between formats, chosen by suffix: .h5, .binary (MERL)."""
-    lost = formats.convert(source, target, part)
-    click.echo(f"{target}: written" + "".join(f"\n  lost: {what}" for what in lost))
+    r"""Convert a table between formats, chosen by suffix.
+
+    \b
+    in and out: .h5, .binary (MERL), .bsdf (RGL tensor file; .zemax.bsdf writes Zemax text; told apart by
+                content in reading), .xml (WINDOW/Radiance Klems matrix; .tree.xml writes a tensor tree),
+                .csv, .npz
+    in only:    .astm, .brdf and .anisotropicbsdf (SPEOS), .bsdf (LightTools), .xompt (OpenMATERIAL)
+
+    Says what is lost, and how far the file written, read again, is from the table.
+    """
+    done = formats.convert(source, target, part)
+    click.echo(f"{target}: written" + "".join(f"\n  lost: {what}" for what in done.lost))
+    if done.worst > 0:
+        click.echo(
+            f"  error: a row's cosine-weighted RMS {done.error:.2g} (median), {done.worst:.2g} (worst); "
+            f"directional albedo {done.albedo_error:.2g} (mean)"
+        )
 
 
 @click.command()
