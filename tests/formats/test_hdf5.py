@@ -255,7 +255,7 @@ def test_a_heap_that_hangs_the_library(saved):
 
 def test_text_that_is_not_utf8(saved):
     saved.write_bytes(saved.read_bytes().replace("π".encode(), b"\xb0\xb0"))
-    with pytest.raises(InputError, match="damaged or truncated HDF5 file .'utf-8' codec"):
+    with pytest.raises(InputError, match=r"damaged or truncated HDF5 file \('utf-8' codec"):
         Table.load(saved)
 
 
