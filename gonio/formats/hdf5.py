@@ -119,7 +119,7 @@ def read(path: Path) -> Table:
     except InputError as error:
         text = str(error)
         raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
-    except (OSError, KeyError, RuntimeError) as error:
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:  # also text that is not UTF-8
         with open(path, "rb") as raw:
             signed = raw.read(8) == b"\x89HDF\r\n\x1a\n"
         if not signed:

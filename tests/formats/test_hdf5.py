@@ -253,6 +253,12 @@ def test_a_heap_that_hangs_the_library(saved):
         Table.load(saved)
 
 
+def test_text_that_is_not_utf8(saved):
+    saved.write_bytes(saved.read_bytes().replace("π".encode(), b"\xb0\xb0"))
+    with pytest.raises(InputError, match=r"damaged or truncated HDF5 file \('utf-8' codec"):
+        Table.load(saved)
+
+
 def test_newer_minor_version_is_read(saved):
     attribute("version", "1.7")(saved)
     assert Table.load(saved).values.shape == (6, 7, 8, 3)
