@@ -194,12 +194,12 @@ GLASS_CASES = [(45, 0), (45, 40), (60, 20), (30, 75), (65, 60)]
 def test_glass_grooves(seed, slope, theta):
     """45 degrees at normal incidence: .004269, by scalar light .002524. Light enters the ridges and leaves them."""
     eta = 1.5
-    table = trace(layer(groove(slope), glass(eta)), 3_000_000, seed, theta_i_deg=[theta])
+    table = trace(layer(groove(slope), glass(eta)), 1_500_000, seed, theta_i_deg=[theta])
     up, down = glass_groove(slope, theta, grooves.Walls(eta))
     if (slope, theta) == (45, 0):
         assert up == pytest.approx(0.004269, abs=1e-6)
-    agrees_albedo(table, [up], precision=max(2e-4, 0.01 * up))
-    agrees_albedo(table.parts["transmission"], [down], precision=max(2e-4, 0.01 * up))
+    agrees_albedo(table, [up], precision=max(2e-4, 0.015 * up))
+    agrees_albedo(table.parts["transmission"], [down], precision=max(2e-4, 0.015 * up))
     assert table.row_albedo + table.parts["transmission"].row_albedo == pytest.approx(1.0, abs=1e-9)
     ledger_adds_up(table)
 
