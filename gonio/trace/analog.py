@@ -105,7 +105,7 @@ def trace_surface(
     weight = np.empty((PACKET_WIDTH, samples))
     polarisation = None if eta_k is None else np.empty((PACKET_WIDTH, samples, 3))
     axis = None if eta_k is None else np.empty((PACKET_WIDTH, 3))
-    retreat = np.empty((PACKET_WIDTH, 3), np.float32)
+    retreat = np.empty((3, PACKET_WIDTH), np.float32)
     bounces = np.zeros(PACKET_WIDTH, np.int64)
     status = np.zeros(PACKET_WIDTH, np.int64)
     absorbed = np.zeros(samples)

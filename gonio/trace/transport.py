@@ -21,6 +21,7 @@ from gonio.core.embree import (
     DIR_Y,
     DIR_Z,
     GEOM_ID,
+    HIT_U,
     INST_ID,
     INST_PRIM_ID,
     MISS,
@@ -56,6 +57,8 @@ MAX_SEGMENTS = 100_000  # of a path, crossings of the tile's faces included: no 
 INSIDE = np.float32(16.0)
 RETREAT = np.float32(64.0)
 
+D_N = HIT_U  # row of direction times normal, in place of what Embree left there
+
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
@@ -78,6 +81,8 @@ def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
     seed, batch, path : int
         Key and counter of the random numbers; the packet's paths are path ... path + 15.
     """
+    if packet.shape[1] != PACKET_WIDTH:  # tells the compiler, which then vectorises
+        return
     ints = packet.view(np.int32)
     for lane in range(PACKET_WIDTH):
         u, v, _, _ = uniforms(path + lane, (path + lane) >> 32, 0, 0, seed, batch)
@@ -151,6 +156,8 @@ def trace_packet(
     int
         Rays traced.
     """
+    if packet.shape[1] != PACKET_WIDTH:  # tells the compiler
+        return 0
     ints = packet.view(np.int32)
     weight[:, :] = 1.0
     bounces[:] = 0
@@ -162,34 +169,76 @@ def trace_packet(
         intersect16(embree, packet, coherent)
         rays += active
         segments += 1
+        _arrive(packet, box.lift, albedo is None, retreat, bounces)
         for lane in range(PACKET_WIDTH):
             if ints[VALID, lane] == 0:
                 continue
             end = 0
-            if ints[GEOM_ID, lane] != MISS:
-                distance = packet[T_FAR, lane]
-                packet[ORG_X, lane] += packet[DIR_X, lane] * distance
-                packet[ORG_Y, lane] += packet[DIR_Y, lane] * distance
-                packet[ORG_Z, lane] += packet[DIR_Z, lane] * distance
-                packet[T_NEAR, lane] = _ZERO
-                end = _scatter(
-                    packet, lane, box.lift, eta_k, albedo, max_bounces, seed, batch, path + lane,
-                    weight, polarisation, axis, retreat, bounces, absorbed,
-                )  # fmt: skip
-            else:
+            if ints[GEOM_ID, lane] == MISS:
                 end = _cross(box, packet, lane)
                 if end == LOST and _retreat(packet, lane, retreat):
                     end = 0
+            elif packet[D_N, lane] >= _ZERO:
+                # a facet's back: the path started a rounding error below the surface, and goes on through
+                if packet[T_FAR, lane] >= INSIDE * box.lift:
+                    _retreat(packet, lane, retreat)
+            elif bounces[lane] > max_bounces:
+                bounces[lane] = max_bounces
+                end = KILLED
+            elif albedo is not None or eta_k is not None:
+                end = _scatter(
+                    packet, lane, eta_k, albedo, seed, batch, path + lane, weight, polarisation, axis,
+                    bounces, absorbed,
+                )  # fmt: skip
             if end == 0 and segments >= MAX_SEGMENTS:
                 end = LOST
             if end != 0:
                 status[lane] = end
                 ints[VALID, lane] = 0
                 active -= 1
+        for lane in range(PACKET_WIDTH):
             packet[T_FAR, lane] = _FAR
             ints[GEOM_ID, lane] = MISS
-            ints[INST_ID, lane] = MISS
     return rays
+
+
+@kernel(allocates=False)
+def _arrive(packet, lift, reflects, retreat, bounces):
+    """Take all rays to where they hit, and off the facet; mirror them in its normal where it `reflects`."""
+    if packet.shape[1] != PACKET_WIDTH or retreat.shape[1] != PACKET_WIDTH:
+        return
+    ints = packet.view(np.int32)
+    for lane in range(PACKET_WIDTH):
+        hit = (ints[VALID, lane] & (ints[GEOM_ID, lane] != MISS)) != 0
+        nx, ny, nz = packet[NORMAL_X, lane], packet[NORMAL_Y, lane], packet[NORMAL_Z, lane]
+        vx, vy, vz = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
+        inverse = _ONE / np.float32(math.sqrt(nx * nx + ny * ny + nz * nz))
+        nx *= inverse
+        ny *= inverse
+        nz *= inverse
+        d_n = vx * nx + vy * ny + vz * nz
+        front = hit & (d_n < _ZERO)
+        distance = packet[T_FAR, lane] if hit else _ZERO
+        x = packet[ORG_X, lane] + vx * distance
+        y = packet[ORG_Y, lane] + vy * distance
+        z = packet[ORG_Z, lane] + vz * distance
+        back = min(_HALF * distance, RETREAT * lift)
+        retreat[0, lane] = x - vx * back if front else retreat[0, lane]
+        retreat[1, lane] = y - vy * back if front else retreat[1, lane]
+        retreat[2, lane] = z - vz * back if front else retreat[2, lane]
+        packet[ORG_X, lane] = x + nx * lift if hit else x
+        packet[ORG_Y, lane] = y + ny * lift if hit else y
+        packet[ORG_Z, lane] = z + nz * lift if hit else z
+        twice = _TWO * d_n
+        if reflects:
+            packet[DIR_X, lane] = vx - twice * nx if front else vx
+            packet[DIR_Y, lane] = vy - twice * ny if front else vy
+            packet[DIR_Z, lane] = vz - twice * nz if front else vz
+        packet[NORMAL_X, lane] = nx
+        packet[NORMAL_Y, lane] = ny
+        packet[NORMAL_Z, lane] = nz
+        packet[D_N, lane] = d_n
+        bounces[lane] += front
 
 
 @kernel(allocates=False)
@@ -224,68 +273,37 @@ def _cross(box, packet, lane):
     packet[ORG_X, lane] = x
     packet[ORG_Y, lane] = y
     packet[ORG_Z, lane] = z + vz * distance
-    packet[T_NEAR, lane] = _ZERO
     return 0
 
 
 @kernel(allocates=False)
 def _scatter(
-    packet, lane, lift, eta_k, albedo, max_bounces, seed, batch, path, weight, polarisation, axis, retreat,
-    bounces, absorbed,
+    packet, lane, eta_k, albedo, seed, batch, path, weight, polarisation, axis, bounces, absorbed
 ):  # fmt: skip
-    """Turn a path at a hit into a new direction; returns how it ended, or 0 if it goes on."""
-    nx, ny, nz = packet[NORMAL_X, lane], packet[NORMAL_Y, lane], packet[NORMAL_Z, lane]
-    vx, vy, vz = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
-    # Single precision puts a hit a little off the surface: step off along the normal, past the facet itself.
-    # A fixed step along the ray instead would jump over a neighbour in a crease (and lost 1 path in 10^7).
-    inverse = _ONE / np.float32(math.sqrt(nx * nx + ny * ny + nz * nz))
-    nx *= inverse
-    ny *= inverse
-    nz *= inverse
-    d_n = vx * nx + vy * ny + vz * nz
-    distance = packet[T_FAR, lane]
-    if d_n >= _ZERO:
-        # a facet's back: the path started a rounding error below the surface, and goes on through
-        if distance < INSIDE * lift or not _retreat(packet, lane, retreat):
-            packet[ORG_X, lane] += nx * lift
-            packet[ORG_Y, lane] += ny * lift
-            packet[ORG_Z, lane] += nz * lift
-        return 0
-    if bounces[lane] >= max_bounces:
-        return KILLED
-    back = min(_HALF * distance, RETREAT * lift)
-    retreat[lane, 0] = packet[ORG_X, lane] - vx * back
-    retreat[lane, 1] = packet[ORG_Y, lane] - vy * back
-    retreat[lane, 2] = packet[ORG_Z, lane] - vz * back
-    packet[ORG_X, lane] += nx * lift
-    packet[ORG_Y, lane] += ny * lift
-    packet[ORG_Z, lane] += nz * lift
-    bounces[lane] += 1
-    channels = weight.shape[1]
-    if albedo is None:
-        twice = _TWO * d_n
-        packet[DIR_X, lane] = vx - twice * nx
-        packet[DIR_Y, lane] = vy - twice * ny
-        packet[DIR_Z, lane] = vz - twice * nz
-    else:
+    """What a facet does to a path but mirror it; returns how it ended, or 0 if it goes on."""
+    n = (float(packet[NORMAL_X, lane]), float(packet[NORMAL_Y, lane]), float(packet[NORMAL_Z, lane]))
+    if albedo is not None:
         u, v, _, _ = uniforms(path, path >> 32, bounces[lane], 0, seed, batch)
-        n = (float(nx), float(ny), float(nz))
         s, t = frame(n)
         a, b, c = cosine_hemisphere(u, v)
         packet[DIR_X, lane] = a * s[0] + b * t[0] + c * n[0]
         packet[DIR_Y, lane] = a * s[1] + b * t[1] + c * n[1]
         packet[DIR_Z, lane] = a * s[2] + b * t[2] + c * n[2]
-        for channel in range(channels):
+        for channel in range(weight.shape[1]):
             w = weight[lane, channel]
             weight[lane, channel] = w * albedo[channel]
             absorbed[channel] += w - weight[lane, channel]
     if eta_k is not None:
-        v = (float(vx), float(vy), float(vz))
-        n = (float(nx), float(ny), float(nz))
+        twice = 2.0 * packet[D_N, lane]
+        v = (
+            packet[DIR_X, lane] + twice * n[0],
+            packet[DIR_Y, lane] + twice * n[1],
+            packet[DIR_Z, lane] + twice * n[2],
+        )
         _reflect_polarised(
             v, n, eta_k, bounces[lane] == 1, weight[lane], polarisation[lane], axis[lane], absorbed
         )
-    if (eta_k is not None or albedo is not None) and bounces[lane] >= ROULETTE_BOUNCES:
+    if bounces[lane] >= ROULETTE_BOUNCES:
         return _roulette(lane, eta_k, seed, batch, path, weight, polarisation, bounces, absorbed)
     return 0
 
@@ -293,12 +311,12 @@ def _scatter(
 @kernel(allocates=False)
 def _retreat(packet, lane, retreat):
     """Send a path found inside the body back to before its last bounce, in its new direction; False if it was."""
-    if math.isnan(retreat[lane, 0]):
+    if math.isnan(retreat[0, lane]):
         return False
-    packet[ORG_X, lane] = retreat[lane, 0]
-    packet[ORG_Y, lane] = retreat[lane, 1]
-    packet[ORG_Z, lane] = retreat[lane, 2]
-    retreat[lane, 0] = np.nan
+    packet[ORG_X, lane] = retreat[0, lane]
+    packet[ORG_Y, lane] = retreat[1, lane]
+    packet[ORG_Z, lane] = retreat[2, lane]
+    retreat[0, lane] = np.nan
     return True
 
 
