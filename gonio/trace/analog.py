@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, PACKET_WIDTH, new_packet, new_ray
+from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, HIT_U, HIT_V, PACKET_WIDTH, new_packet, new_ray
 from gonio.core.jit import kernel
 from gonio.core.lookup import Axis, find
 from gonio.core.philox import uniforms
@@ -135,13 +135,16 @@ def _trace_packets(
             embree, box, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path,
             weight, polarisation, axis, retreat, bounces, status, absorbed,
         )  # fmt: skip
+        _exit(packet, azimuth)
         for lane in range(PACKET_WIDTH):
-            x, y, z = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
+            x, y = packet[DIR_X, lane], packet[DIR_Y, lane]
             # a facet parallel to the macroscopic plane leaves these two components untouched, to the bit;
             # no other path ends so but by a chance of 1e-14
             delta = albedo is None and x == mirror_x and y == mirror_y
-            wo = (float(x), float(y), float(z))
-            _count(to_channels, bins, sums, azimuth, wo, status[lane], bounces[lane], delta, weight[lane])
+            _count(
+                to_channels, bins, sums, packet[HIT_U, lane], packet[HIT_V, lane], status[lane], bounces[lane],
+                delta, weight[lane],
+            )  # fmt: skip
     for sample in range(absorbed.shape[0]):
         sums.ledger[ABSORBED_COLUMN] += bins.share[sample] * absorbed[sample]
 
@@ -202,7 +205,8 @@ def _trace_paths(
             sums.ledger[RAYS] += rays
             for s in range(weight.shape[0]):
                 weight[s] = light[s, 0]
-            _count(to_channels, bins, sums, azimuth, wo, status, bounces, straight, weight)
+            sin2, cosine = _coordinates(wo[0], wo[1], wo[2], azimuth)
+            _count(to_channels, bins, sums, sin2, cosine, status, bounces, straight, weight)
     for column in range(absorbed.shape[0]):
         sums.ledger[LEDGER_COLUMNS + column] += absorbed[column]
         sums.ledger[ABSORBED_COLUMN] += absorbed[column]
@@ -217,17 +221,37 @@ def _incident(beam, u, v):
     return (sine * azimuth[0], sine * azimuth[1], math.sqrt(1.0 - sin2)), azimuth
 
 
-@kernel(inline=True, allocates=False)
-def _count(to_channels, bins, sums, azimuth, wo, status, bounces, delta, weight):
-    """Add what is left of one path (`weight`, shape (S,)) to where it ended.
+@kernel(allocates=False)
+def _coordinates(x, y, z, azimuth):
+    """sin^2 theta_r and cos(delta phi) of a direction.
 
     `azimuth` is that of incidence, as (cos, sin); at normal incidence, where none is better, the one drawn.
     """
-    energy = 0.0
-    for s in range(weight.shape[0]):
-        energy += bins.share[s] * weight[s]
-    sums.ledger[status - 1] += energy
+    across2 = x * x + y * y
+    cosine = (azimuth[0] * x + azimuth[1] * y) / math.sqrt(across2) if across2 > 0.0 else 1.0
+    return across2 / (across2 + z * z), cosine
+
+
+@kernel(allocates=False)
+def _exit(packet, azimuth):
+    """`_coordinates` of all 16 paths at once, in place of what the last hit left in the packet."""
+    if packet.shape[1] != PACKET_WIDTH:
+        return
+    azimuth = np.float32(azimuth[0]), np.float32(azimuth[1])
+    for lane in range(PACKET_WIDTH):
+        sin2, cosine = _coordinates(packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane], azimuth)
+        packet[HIT_U, lane] = sin2
+        packet[HIT_V, lane] = cosine
+
+
+@kernel(inline=True, allocates=False)
+def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, weight):
+    """Add what is left of one path (`weight`, shape (S,)) to where it ended; from `_coordinates`."""
     if status != REFLECTED and status != TRANSMITTED:
+        energy = 0.0
+        for s in range(weight.shape[0]):
+            energy += bins.share[s] * weight[s]
+        sums.ledger[status - 1] += energy
         return
     sheet = min(bounces, bins.orders) - 1
     if sheet < 0:  # straight through layers that do nothing
@@ -235,11 +259,7 @@ def _count(to_channels, bins, sums, azimuth, wo, status, bounces, delta, weight)
     if status == TRANSMITTED:
         sheet += bins.orders
     sectors = bins.phi.edges.shape[0] - 1
-    across2 = wo[0] * wo[0] + wo[1] * wo[1]
-    ring = find(bins.theta, across2 / (across2 + wo[2] * wo[2]))
-    cosine = 1.0
-    if across2 > 0.0:
-        cosine = (azimuth[0] * wo[0] + azimuth[1] * wo[1]) / math.sqrt(across2)
+    ring = find(bins.theta, sin2)
     cell = ring * sectors + find(bins.phi, -cosine)
     channels = sums.energy.shape[1]
     for channel in range(channels):
@@ -249,7 +269,6 @@ def _count(to_channels, bins, sums, azimuth, wo, status, bounces, delta, weight)
             w = 0.0
             for s in range(weight.shape[0]):
                 w += to_channels[channel, s] * weight[s]
-        sums.energy[sheet, channel] += w
         if delta:
             sums.specular[sheet, channel] += w
         else:
