@@ -247,11 +247,11 @@ def _exit(packet, azimuth):
 @kernel(inline=True, allocates=False)
 def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, weight):
     """Add what is left of one path (`weight`, shape (S,)) to where it ended; from `_coordinates`."""
+    energy = 0.0
+    for s in range(weight.shape[0]):
+        energy += bins.share[s] * weight[s]
+    sums.ledger[status - 1] += energy
     if status != REFLECTED and status != TRANSMITTED:
-        energy = 0.0
-        for s in range(weight.shape[0]):
-            energy += bins.share[s] * weight[s]
-        sums.ledger[status - 1] += energy
         return
     sheet = min(bounces, bins.orders) - 1
     if sheet < 0:  # straight through layers that do nothing
@@ -269,6 +269,7 @@ def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, weight
             w = 0.0
             for s in range(weight.shape[0]):
                 w += to_channels[channel, s] * weight[s]
+        sums.energy[sheet, channel] += w
         if delta:
             sums.specular[sheet, channel] += w
         else:
