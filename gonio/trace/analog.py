@@ -234,7 +234,7 @@ def _coordinates(x, y, z, azimuth):
 
 @kernel(allocates=False)
 def _exit(packet, azimuth):
-    """`_coordinates` of all 16 paths at once, in place of what the last hit left in the packet."""
+    """`_coordinates` of all 16 paths at once, in the rows HIT_U and HIT_V."""
     if packet.shape[1] != PACKET_WIDTH:
         return
     azimuth = np.float32(azimuth[0]), np.float32(azimuth[1])

@@ -18,7 +18,7 @@ def _trace(embree, box, eta_k, albedo, wi, side, max_bounces, seed, exits, weigh
     packet = new_packet()
     polarisation = None if eta_k is None else np.empty((PACKET_WIDTH, weight.shape[1], 3))
     axis = None if eta_k is None else np.empty((PACKET_WIDTH, 3))
-    retreat = np.empty((PACKET_WIDTH, 3), np.float32)
+    retreat = np.empty((3, PACKET_WIDTH), np.float32)
     rays = 0
     dx, dy = box.width_x / (4 * side), box.width_y / (4 * side)
     for k in range(side * side):
