@@ -109,10 +109,12 @@ def trace_surface(
     bounces = np.zeros(PACKET_WIDTH, np.int64)
     status = np.zeros(PACKET_WIDTH, np.int64)
     absorbed = np.zeros(samples)
+    own = _own(sums)
     _trace_packets(
-        embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
+        embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, own,
         new_packet(), weight, polarisation, axis, retreat, bounces, status, absorbed,
     )  # fmt: skip
+    _add(own, sums)
 
 
 # apart from its caller, so that numba counts no references to arrays in the loop
@@ -167,11 +169,13 @@ def trace_stack(
         As in `trace_surface`.
     """
     samples = bins.share.shape[0]
+    own = _own(sums)
     _trace_paths(
-        zones, facets, tables, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
+        zones, facets, tables, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, own,
         new_ray(), np.empty((samples, 4)), np.empty(samples), np.empty((SCRATCH_ROWS, samples)),
         np.zeros(sums.ledger.shape[0] - LEDGER_COLUMNS),
     )  # fmt: skip
+    _add(own, sums)
 
 
 @kernel(allocates=False)
@@ -210,6 +214,22 @@ def _trace_paths(
     for column in range(absorbed.shape[0]):
         sums.ledger[LEDGER_COLUMNS + column] += absorbed[column]
         sums.ledger[ABSORBED_COLUMN] += absorbed[column]
+
+
+@kernel
+def _own(sums):
+    """Sums for one thread; the short ones apart, for threads that write to one cache line wait for each other."""
+    return Sums(
+        sums.cells, np.zeros_like(sums.specular), np.zeros_like(sums.energy), np.zeros_like(sums.ledger)
+    )
+
+
+@kernel
+def _add(own, sums):
+    """Add what was summed apart."""
+    sums.specular[:] += own.specular
+    sums.energy[:] += own.energy
+    sums.ledger[:] += own.ledger
 
 
 @kernel(allocates=False)
