@@ -220,7 +220,8 @@ def _arrive(box, packet, reflects, retreat, bounces):
         hit = (ints[VALID, lane] != 0) & (ints[GEOM_ID, lane] != MISS)
         nx, ny, nz = packet[NORMAL_X, lane], packet[NORMAL_Y, lane], packet[NORMAL_Z, lane]
         vx, vy, vz = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
-        inverse = _ONE / np.float32(math.sqrt(nx * nx + ny * ny + nz * nz))
+        square = nx * nx + ny * ny + nz * nz
+        inverse = _ONE / np.float32(math.sqrt(square if hit else _ONE))
         nx *= inverse
         ny *= inverse
         nz *= inverse
@@ -249,7 +250,7 @@ def _arrive(box, packet, reflects, retreat, bounces):
         packet[NORMAL_Y, lane] = ny
         packet[NORMAL_Z, lane] = nz
         packet[D_N, lane] = d_n
-        to_top = (box.top - z) / vz
+        to_top = (box.top - z) / (vz if vz > _ZERO else _ONE)
         x += vx * to_top
         y += vy * to_top
         inside = (x >= _ZERO) & (x <= box.width_x) & (y >= _ZERO) & (y <= box.width_y)
