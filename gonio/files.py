@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import os
 import tempfile
 from collections.abc import Iterator
@@ -63,11 +62,3 @@ def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
-
-
-def remove_leftovers(path: str | os.PathLike[str]) -> None:
-    """Remove temporary files of `atomic` for this path, left by processes that were killed."""
-    path = Path(path)
-    for leftover in path.parent.glob(f".{glob.escape(path.stem[:80])}-????????{glob.escape(path.suffix)}"):
-        with suppress(OSError):
-            leftover.unlink()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import glob
 import hashlib
 import importlib.metadata
 import json
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import microgeometry
-from gonio.files import atomic, remove_leftovers
+from gonio.files import atomic
 from microgeometry.errors import InputError
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ class Checkpoint:
         InputError
             The file is of another measurement, damaged, or there although `resume` is False.
         """
-        remove_leftovers(self.path)
+        _remove_leftovers(self.path)
         if not self.path.exists():
             return False
         if not resume:
@@ -140,6 +141,13 @@ class Checkpoint:
     def _damaged(self, error: Exception) -> InputError:
         reason = " ".join(str(error).split())
         return InputError(f"{self.path}: damaged, or no checkpoint ({reason}); delete it to start anew")
+
+
+def _remove_leftovers(path: Path) -> None:
+    """Remove temporary files of `atomic` for this path, left by processes that were killed."""
+    for leftover in path.parent.glob(f".{glob.escape(path.stem[:80])}-????????{glob.escape(path.suffix)}"):
+        with suppress(OSError):
+            leftover.unlink()
 
 
 def identity(measurement: Measurement) -> dict[str, Any]:

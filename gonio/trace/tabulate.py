@@ -12,7 +12,7 @@ from gonio.table.parts import TRANSMISSION, order_names
 from gonio.table.table import Table
 from gonio.trace.stopping import judge
 from gonio.trace.tally import SheetTally
-from gonio.trace.tracer import STATISTICS_TILES, Tracer
+from gonio.trace.tracer import _STATISTICS_TILES, Tracer
 from microgeometry.specimen import Specimen
 
 if TYPE_CHECKING:
@@ -136,6 +136,6 @@ def _surfaces(measurement: Measurement) -> list[dict[str, float]]:
     if measurement.traced_all:
         return measurement.tracer.statistics()
     tracer = Tracer(measurement.specimen, measurement.job.seed, measurement.batches.paths_per_pass)
-    for batch in range(min(measurement.tally.batches, STATISTICS_TILES)):
+    for batch in range(min(measurement.tally.batches, _STATISTICS_TILES)):
         tracer.realise(batch)
     return tracer.statistics()

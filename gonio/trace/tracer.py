@@ -15,8 +15,7 @@ from microgeometry.specimen import Specimen
 from microgeometry.tile import SurfaceStatistics, Tile
 
 MAX_BOUNCES = 256
-STATISTICS_TILES = 8
-"""Realisations whose facets are measured."""
+_STATISTICS_TILES = 8  # realisations whose facets are measured
 _COHERENT_FACETS = 8  # facets per path of a row below which coherent packets are faster (measured)
 
 
@@ -85,7 +84,7 @@ class Tracer:
             layer.surface.realise(_realisation_seed(self._seed, batch, number))
             for number, layer in enumerate(self._specimen.layers)
         ]
-        if len(self._statistics) < STATISTICS_TILES:
+        if len(self._statistics) < _STATISTICS_TILES:
             self._statistics.append([tile.statistics() for tile in tiles])
         realisation: Realisation
         if self._optics is not None:
