@@ -25,6 +25,7 @@ MIN_BATCHES = 32
 LOST_LIMIT = 1e-6
 _MAX_EXPONENT = 16  # of the packets of 16 paths, per row and batch
 _DEFAULT_RAYS = 20_000_000
+_ROUNDS = 4  # with a target, the batches before the first decision take such a part of the budget
 _TRIAL_RATE = 2e6  # paths/s assumed when a time is given, to choose the size of a batch
 
 
@@ -100,8 +101,8 @@ class Measurement:
             rays = _DEFAULT_RAYS if seconds is None else max(1, int(seconds * _TRIAL_RATE))
         grid = specimen.grid
         rows = round(90 / grid.theta_step_deg) if grid.theta_i_deg is None else len(grid.theta_i_deg)
-        # decisions fall between batches: with a target, a large budget makes more of them, not larger ones
-        share = rays if target_error is None else min(rays, _DEFAULT_RAYS)
+        # decisions fall between batches: with a target there are more of them, and of a large budget no larger ones
+        share = rays if target_error is None else min(rays, _DEFAULT_RAYS) // _ROUNDS
         exponent = 0
         while 16 * rows * 2 ** (exponent + 1) * MIN_BATCHES <= share and exponent < _MAX_EXPONENT:
             exponent += 1

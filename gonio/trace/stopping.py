@@ -29,6 +29,7 @@ _ALBEDO = 0.1  # part of the target the albedo must be known to
 _ENERGY = 0.99  # of a row's light: the cells that hold it count, and what holds the rest does not
 _PERCENTILE = 0.95  # of these cells have errors below the target
 _MAX_VOV = 0.1  # MCNP's limit for the variance of the variance; 32 normal batches have 0.065
+_CLEAR = 0.1  # part of the error allowed below which its variance is not asked for
 _KEPT = 16.0  # batches of a row's new size that its old ones must amount to; see `gonio.trace.tally`
 
 
@@ -57,8 +58,8 @@ class Verdict:
         Relative standard error of the directional albedo; the worst of channels, and of the transmittance.
     cells : ndarray, shape (rows,)
         The same of the cells that hold 99 % of the row's light, at the 95th percentile.
-    vov : ndarray, shape (rows,)
-        Variance of the variance; see `SheetTally.variance_of_variance`.
+    vov : ndarray, shape (2, rows)
+        Variance of the variance, of albedo and cells; see `SheetTally.variance_of_variance`.
     batches : ndarray of int, shape (rows,)
     """
 
@@ -69,8 +70,17 @@ class Verdict:
 
     def lack(self, target: float) -> Array:
         """How many times its paths each row needs to meet the target, shape (rows,); 1 or less if it does."""
-        error = np.maximum(self.albedo / _ALBEDO, self.cells) / target
-        return np.maximum.reduce([error**2, self.vov / _MAX_VOV, MIN_BATCHES / np.maximum(self.batches, 1)])
+        part = self._part(target)
+        batches = MIN_BATCHES / np.maximum(self.batches, 1)
+        return np.maximum.reduce([*part**2, *self._doubt(part) / _MAX_VOV, batches])
+
+    def _part(self, target: float) -> Array:
+        """Errors in units of what is allowed, of albedo and cells, shape (2, rows)."""
+        return np.stack([self.albedo / _ALBEDO, self.cells]) / target
+
+    def _doubt(self, part: Array) -> Array:
+        """Variance of the variance, where it matters: not of an error that might be ten times what it seems."""
+        return np.where(part > _CLEAR, self.vov, 0.0)
 
     def met(self, target: float) -> bool:
         """Every row is known to the target."""
@@ -82,8 +92,9 @@ class Verdict:
             f"cells within {self.cells.max():.2%} of {target:.2%} (95th percentile, worst row), albedo within "
             f"{self.albedo.max():.3%} of {_ALBEDO * target:.3%}"
         )
-        if np.any(self.vov > _MAX_VOV):
-            words += f", variance of the variance {self.vov.max():.2g} of {_MAX_VOV:g}"
+        doubt = self._doubt(self._part(target)).max()
+        if doubt > _MAX_VOV:
+            words += f", variance of the variance {doubt:.2g} of {_MAX_VOV:g}"
         if np.any(self.batches < MIN_BATCHES):
             words += f", {self.batches.min()} batches of {MIN_BATCHES}"
         return words

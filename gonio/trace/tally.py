@@ -352,18 +352,18 @@ class SheetTally:
         )
 
     def variance_of_variance(self) -> Array:
-        """Relative variance of the variance of each row, shape (rows,): of its energy or of all its cells.
+        """Relative variance of the variance of each row, shape (2, rows): of its energy, and of all its cells.
 
-        The worse of the two, and of the channels. MCNP's VOV (X-5 Monte Carlo Team 2003, LA-UR-03-1987,
+        The worst of the channels. MCNP's VOV (X-5 Monte Carlo Team 2003, LA-UR-03-1987,
         eq. 2.20): 2 / batches where these are normal; large where a few of them make up the variance.
         """
         channels = self._mean.shape[2]
-        squares = np.concatenate([self._row_square[:, channels:], self._cells_square], axis=1)
-        fourths = np.concatenate([self._row_fourth[:, channels:], self._cells_fourth], axis=1)
+        squares = np.stack([self._row_square[:, channels:], self._cells_square])
+        fourths = np.stack([self._row_fourth[:, channels:], self._cells_fourth])
         known = squares > 0
         ratio = np.where(known, fourths, 0.0) / np.where(known, squares, 1.0) ** 2
         fewest = 1.0 / np.maximum(self._counts.batches - 1, 1)[:, None]
-        return np.max(np.where(known, ratio - fewest, 0.0), axis=1)
+        return np.max(np.where(known, ratio - fewest, 0.0), axis=2)
 
 
 @kernel(allocates=False)

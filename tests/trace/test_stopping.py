@@ -56,7 +56,6 @@ def test_the_cells_of_the_light_are_judged_at_the_95th_percentile():
     verdict = verdict_of(energies, energies * relative)
     # the 99 % are the first 100 cells: 0.99 / 9.95e-3 = 99.5 of them
     assert verdict.cells[0] == pytest.approx(np.quantile(relative[:100], 0.95), rel=0.02)
-    assert verdict.lack(verdict.cells[0] * 1.01)[0] >= 1  # the albedo, which must be known ten times better
 
 
 def test_the_transmitted_light_is_judged_with_the_reflected():
@@ -71,16 +70,20 @@ def test_the_transmitted_light_is_judged_with_the_reflected():
 
 
 def test_what_a_row_lacks():
-    known = {"albedo": 0.001, "cells": 0.01, "vov": 0.05, "batches": 40}
+    known = {"albedo": 0.001, "cells": 0.01, "of_albedo": 0.05, "of_cells": 0.05, "batches": 40}
 
     def lack(**change):
-        verdict = Verdict(*(np.array([v]) for v in {**known, **change}.values()))
-        return verdict.lack(0.02)[0]
+        albedo, cells, *vov, batches = (np.array([v]) for v in {**known, **change}.values())
+        return Verdict(albedo, cells, np.stack(vov), batches).lack(0.02)[0]
 
     assert lack() <= 1
     assert lack(cells=0.04) == pytest.approx(4)
     assert lack(albedo=0.004) == pytest.approx(4)
-    assert lack(vov=0.3) == pytest.approx(3)
+    assert lack(of_albedo=0.3) == pytest.approx(3)
+    assert lack(of_cells=0.4) == pytest.approx(4)
+    # an error so far below the target is below it however little is known of its variance
+    assert lack(of_albedo=0.3, albedo=1e-4) <= 1
+    assert lack(of_cells=0.3, cells=1e-3) <= 1
     assert lack(batches=15) == pytest.approx(2)
 
 
@@ -97,14 +100,15 @@ def test_rows_get_passes_by_what_they_lack(monkeypatch):
         tally.close_batch(np.ones(6), 16)
     schedule = Schedule(6, 16, None, 0.1)
     lacks = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 101.0])
-    monkeypatch.setattr("gonio.trace.stopping.judge", lambda *_: Verdict(np.zeros(6), np.sqrt(lacks) * 0.1,
-                        np.zeros(6), np.full(6, 32)))  # fmt: skip
+    none = np.zeros(6)
+    monkeypatch.setattr(
+        "gonio.trace.stopping.judge",
+        lambda *_: Verdict(none, np.sqrt(lacks) * 0.1, np.stack([none, none]), np.full(6, 32)),
+    )
     schedule.advance(tally, np.ones((1, 1)))
     assert not schedule.over
     # the last row would take nearly all: but twice its paths, for its old batches must still be 16 of the new
-    np.testing.assert_array_equal(schedule.passes[:3], 0)
-    assert schedule.passes[5] == 2
-    assert schedule.passes.sum() <= 6
+    np.testing.assert_array_equal(schedule.passes, [0, 0, 1, 1, 1, 2])
     assert FIRST_ROUND < schedule.until <= 1.5 * FIRST_ROUND
     # and nothing happens before the round is over
     passes = schedule.passes
@@ -166,7 +170,7 @@ def test_rays_go_where_the_error_is():
 def test_a_target_does_not_bias_the_table():
     """Cells of a flat Lambert, stopped by their own errors in 60 runs, scatter about rho / pi."""
     spec = specimen({"kind": "flat"}, LAMBERT)
-    tables = [measure(spec, target_error=0.25, rays=500_000, seed=100 + n) for n in range(60)]
+    tables = [measure(spec, target_error=0.09, rays=200_000, seed=100 + n) for n in range(60)]
     paths = {sum(t.provenance["paths_of_rows"]) for t in tables}
     assert len(paths) > 1  # they did not all stop at the same batch
     z = (np.array([t.values[..., 0] for t in tables]) - 0.5 / math.pi) / np.array(

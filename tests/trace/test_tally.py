@@ -120,7 +120,7 @@ def test_one_sheet_needs_no_second_tally_of_the_same():
     assert allocated < 1.01 * 8 * 9 * 16200 * (4 + 3 + 3 + 1)
 
 
-def uneven(plan, noise, rows=800, traced=200):
+def uneven(plan, noise, rows=320, traced=80):
     """A tally of one cell and channel whose first rows have so many passes in each batch of the plan."""
     rng = np.random.default_rng(seed_from(f"uneven {plan} {noise}"))
     tally = Tally(rows, 1, 1, 1)
@@ -147,12 +147,12 @@ def uneven(plan, noise, rows=800, traced=200):
 def test_rows_may_have_any_number_of_passes(plan, noise):
     """The mean is over paths; the variance claimed is on average the one between like rows."""
     tally, means = uneven(plan, noise)
-    np.testing.assert_array_equal(tally.rows.paths[:200], sum(plan) * PATHS)
-    np.testing.assert_array_equal(tally.rows.batches[:200], len(plan))
-    assert not tally.rows.paths[200:].any()
-    assert tally.ledger["paths"] == 200 * sum(plan) * PATHS
-    values, std_error = (a[:200, 0, 0, 0] for a in tally.totals[0].cells(np.ones((1, 1))))
-    energy, error, _, _ = (a[:200, 0] for a in tally.totals[0].energies())
+    np.testing.assert_array_equal(tally.rows.paths[:80], sum(plan) * PATHS)
+    np.testing.assert_array_equal(tally.rows.batches[:80], len(plan))
+    assert not tally.rows.paths[80:].any()
+    assert tally.ledger["paths"] == 80 * sum(plan) * PATHS
+    values, std_error = (a[:80, 0, 0, 0] for a in tally.totals[0].cells(np.ones((1, 1))))
+    energy, error, _, _ = (a[:80, 0] for a in tally.totals[0].energies())
     np.testing.assert_allclose(values, means, rtol=1e-12)
     np.testing.assert_allclose(energy, means, rtol=1e-12)
     np.testing.assert_allclose(error, std_error, rtol=1e-9)
@@ -161,9 +161,9 @@ def test_rows_may_have_any_number_of_passes(plan, noise):
         expected = variance / sum(plan)
     else:
         expected = variance * sum(p**2 for p in plan) / sum(plan) ** 2
-    # 200 rows of about 50 degrees of freedom; the old batches' part is right to one over their number
-    assert np.mean(std_error**2) == pytest.approx(expected, rel=0.06)
-    assert means.var(ddof=1) == pytest.approx(expected, rel=0.4)
+    # 80 rows of about 50 degrees of freedom; the old batches' part is right to one over their number
+    assert np.mean(std_error**2) == pytest.approx(expected, rel=0.1)
+    assert means.var(ddof=1) == pytest.approx(expected, rel=0.6)
 
 
 def test_a_row_that_is_left_out_stays_as_it_was():
@@ -201,8 +201,9 @@ def test_variance_of_variance():
         energy[:, 0, 0, 0] = batch
         tally.close_batch(np.ones(200), PATHS)
     vov = tally.totals[0].variance_of_variance()
-    assert vov[:-1].mean() == pytest.approx(2 / 39, rel=0.15)
-    assert vov[-1] > 0.8
+    for of in vov:  # the row's energy, and all its cells, here one
+        assert of[:-1].mean() == pytest.approx(2 / 39, rel=0.15)
+        assert of[-1] > 0.8
     assert not Tally(3, 1, 1, 1).totals[0].variance_of_variance().any()
 
 
