@@ -12,7 +12,7 @@ from gonio.core.directions import projected_solid_angles
 from gonio.core.lookup import axis
 from gonio.core.parallel import for_each
 from gonio.trace.analog import Beam, Bins, Part, Sums
-from gonio.trace.tally import Tally
+from gonio.trace.tally import Tally, new_accumulators
 from gonio.trace.tracer import Tracer
 from microgeometry.specimen import Specimen
 
@@ -89,17 +89,19 @@ class BatchTracer:
 
     def new_tally(self) -> Tally:
         """An empty tally of this job's table."""
-        grid = self.job.specimen.grid
+        orders, hemispheres = self.job.specimen.grid.orders, self.tracer.hemispheres
+        return Tally(*self._shape(), hemispheres, orders, self.tracer.ledger_names)
+
+    def new_accumulators(self) -> tuple[Array, ...]:
+        """Empty accumulators for `trace`, as those of `new_tally`."""
+        sheets = self.tracer.hemispheres * self.job.specimen.grid.orders
+        return new_accumulators(*self._shape(), sheets, len(self.tracer.ledger_names))
+
+    def _shape(self) -> tuple[int, int, int, int]:
+        """Rows, cells, channels and chunks."""
         rows = len(self.theta_i)
-        return Tally(
-            rows,
-            (len(self.theta_edges) - 1) * (len(self.phi_edges) - 1),
-            len(grid.channels),
-            max(1, -(-_UNITS // rows)),
-            self.tracer.hemispheres,
-            grid.orders,
-            self.tracer.ledger_names,
-        )
+        channels = len(self.job.specimen.grid.channels)
+        return rows, self.areas.size, channels, max(1, -(-_UNITS // rows))
 
     def trace(
         self, batch: int, passes: NDArray[np.int64], accumulators: tuple[Array, ...], threads: int

@@ -153,7 +153,7 @@ def _remove_leftovers(path: Path) -> None:
 def identity(measurement: Measurement) -> dict[str, Any]:
     """What fixes every bit of a measurement, as JSON."""
     specimen = measurement.specimen
-    return {"text": specimen.text, "specimen": fingerprint(specimen), **measurement.plan, **_versions()}
+    return {"text": specimen.text, "specimen": fingerprint(specimen), **measurement.plan, **versions()}
 
 
 def fingerprint(thing: Any) -> str:
@@ -192,8 +192,8 @@ def _feed(digest: Any, thing: Any) -> None:
 
 
 @lru_cache
-def _versions() -> dict[str, str]:
-    """Versions, and a hash of the sources: what is being worked on changes without its version."""
+def versions() -> dict[str, str]:
+    """Versions of what makes the numbers, and a hash of the sources: these change without their version."""
     digest = hashlib.sha256()
     for root in (Path(microgeometry.__file__).parent, Path(__file__).parents[1]):
         for source in sorted(root.rglob("*.py")):

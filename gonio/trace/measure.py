@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Protocol
 
 import numpy as np
@@ -130,12 +132,20 @@ class Measurement:
         TraceError
             So many paths are lost that going on is pointless, or a batch before was interrupted.
         """
+        started = time.perf_counter()
+        with self.adding():
+            self.batches.trace(
+                self.tally.batches, self.schedule.passes, self.tally.accumulators, self.threads
+            )
+            self.close_batch(started)
+
+    @contextmanager
+    def adding(self) -> Iterator[None]:
+        """Around what fills the tally's accumulators and closes a batch: left half done, none may follow."""
         if self._half_done:
             raise TraceError("a batch was interrupted and left half done: take the table, or start anew")
-        started = time.perf_counter()
         self._half_done = True
-        self.batches.trace(self.tally.batches, self.schedule.passes, self.tally.accumulators, self.threads)
-        self.close_batch(started)
+        yield
         self._half_done = False
 
     def close_batch(self, started: float) -> None:

@@ -85,10 +85,9 @@ class Tally:
             for h in range(hemispheres)
         ]
         sheets = hemispheres * orders
-        self._cells = np.zeros((rows, chunks, sheets, cells, channels + 1))
-        self._specular = np.zeros((rows, chunks, sheets, channels))
-        self._energy = np.zeros((rows, chunks, sheets, channels))
-        self._ledger = np.zeros((rows, chunks, LEDGER_COLUMNS + len(ledger_names)))
+        self._cells, self._specular, self._energy, self._ledger = new_accumulators(
+            rows, cells, channels, chunks, sheets, len(ledger_names)
+        )
 
     @property
     def accumulators(self) -> tuple[Array, Array, Array, Array]:
@@ -193,6 +192,18 @@ class Tally:
         yield "rows.", self.rows
         for number, sheet in enumerate((*self._order_sheets(), *self.totals)):
             yield f"sheet{number}.", sheet
+
+
+def new_accumulators(
+    rows: int, cells: int, channels: int, chunks: int, sheets: int, names: int
+) -> tuple[Array, Array, Array, Array]:
+    """Empty `Tally.accumulators`; arguments as `Tally`, and the numbers of sheets and of ledger names."""
+    return (
+        np.zeros((rows, chunks, sheets, cells, channels + 1)),
+        np.zeros((rows, chunks, sheets, channels)),
+        np.zeros((rows, chunks, sheets, channels)),
+        np.zeros((rows, chunks, LEDGER_COLUMNS + names)),
+    )
 
 
 class RowCounts:

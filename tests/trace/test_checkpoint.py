@@ -114,8 +114,8 @@ def test_another_measurement_is_refused_with_the_reason(tmp_path, changed, words
 
 def test_another_version_is_refused(tmp_path, monkeypatch):
     interrupted(tmp_path / "t.h5", 1)
-    versions = checkpoint_module._versions()
-    monkeypatch.setattr(checkpoint_module, "_versions", lambda: {**versions, "numba version": "99.0"})
+    versions = checkpoint_module.versions()
+    monkeypatch.setattr(checkpoint_module, "versions", lambda: {**versions, "numba version": "99.0"})
     with pytest.raises(InputError, match=r"begun with numba version .*, not 99\.0"):
         measure(specimen(), rays=RAYS, seed=3, checkpoint=tmp_path / "t.h5", resume=True)
 

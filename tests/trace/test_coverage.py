@@ -11,12 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 
-from gonio.core.directions import projected_solid_angles
-from gonio.trace.error_bars import cell_errors
 from gonio.trace.measure import measure
-from gonio.validation import seed_from
 from microgeometry.specimen import parse_specimen
 
 LOW, HIGH = 0.93, 0.97
@@ -72,12 +68,23 @@ if __name__ == "__main__":
     grid = {"theta_step_deg": 5, "phi_step_deg": 10, "theta_i_deg": [5, 40, 80]}
     cases = {
         "flat": ({"kind": "flat"}, {"kind": "lambert", "albedo": 0.7}),
-        "pit": ({"kind": "pits", "cover": 0.5, "depth": 1.0, "arrangement": "hexagonal"}, {"kind": "lambert", "albedo": 0.7}),
+        "pit": (
+            {"kind": "pits", "cover": 0.5, "depth": 1.0, "arrangement": "hexagonal"},
+            {"kind": "lambert", "albedo": 0.7},
+        ),
         "gaussian": ({"kind": "gaussian", "alpha": 0.5, "samples": 64, "size": 16}, {"kind": "mirror"}),
-        "clumps": ({"kind": "gaussian", "alpha": 0.5, "samples": 16, "size": 4}, {"kind": "conductor", "eta": 1.0, "k": 2.0}),
+        "clumps": (
+            {"kind": "gaussian", "alpha": 0.5, "samples": 16, "size": 4},
+            {"kind": "conductor", "eta": 1.0, "k": 2.0},
+        ),
     }
     for name in sys.argv[2:]:
         surface, material = cases[name]
         spec = parse_specimen({"surface": surface, "material": material, "grid": grid})
         for n in (3_000, 12_000, 50_000, 200_000):
-            print(name, n, {k: (round(a, 3), round(b, 3)) for k, (a, b) in study(spec, [n], int(sys.argv[1])).items()}, flush=True)
+            print(
+                name,
+                n,
+                {k: (round(a, 3), round(b, 3)) for k, (a, b) in study(spec, [n], int(sys.argv[1])).items()},
+                flush=True,
+            )
