@@ -11,6 +11,7 @@ maps and meshes travel with the specimen.
 from __future__ import annotations
 
 import pickle
+import socket
 import time
 from concurrent.futures import CancelledError
 from functools import lru_cache
@@ -67,6 +68,7 @@ class Cluster:
                 "dask: the package distributed is not installed; install it with: pip install gonio[dask]"
             ) from error
         try:
+            _knock(address)  # a client that finds nobody leaves threads behind
             self._client = distributed.Client(address, timeout=_TIMEOUT, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise InputError(
@@ -146,6 +148,15 @@ class Cluster:
                     raise InputError(
                         f"dask: worker {worker} has {name} {there.get(name)}, here it is {version}; install the same"
                     )
+
+
+def _knock(address: str) -> None:
+    """Raise OSError or ValueError where nobody listens at the address."""
+    from distributed.comm.addressing import parse_address, parse_host_port
+
+    _, location = parse_address(address)
+    with socket.create_connection(parse_host_port(location), _TIMEOUT):
+        pass
 
 
 def trace_batch(job: bytes, batch: int, passes: NDArray[np.int64]) -> Sums:
