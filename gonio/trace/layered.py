@@ -51,10 +51,12 @@ from gonio.trace.stack import (
 )
 from gonio.trace.transport import (
     ABSORBED,
+    INSIDE,
     KILLED,
     LOST,
     MAX_SEGMENTS,
     REFLECTED,
+    RETREAT,
     ROULETTE_BOUNCES,
     TRANSMITTED,
 )
@@ -125,6 +127,9 @@ def trace_path(
     bounces = 0
     straight = True
     rays = 0
+    # a place just before the last reflection, for a path that the step off a facet put inside the body
+    can_retreat = False
+    retreat = (0.0, 0.0, 0.0)
     for event in range(1, MAX_SEGMENTS):
         energy = _energy(light, share)
         if _strongest(light) == 0.0:
@@ -140,12 +145,15 @@ def trace_path(
             if medium > 0:
                 absorbed[2 * medium - 1] += _lose(light, share, energy, bounces, path, event, 4, seed, batch)
             if not collided and limit == math.inf:
-                return (TRANSMITTED if zone == n_zones and v[2] < 0.0 else LOST), v, bounces, straight, rays
+                if zone < n_zones or v[2] >= 0.0:
+                    return LOST, v, bounces, straight, rays
+                return (TRANSMITTED if _strongest(light) > 0.0 else ABSORBED), v, bounces, straight, rays
             corner_x += distance * v[0]
             corner_y += distance * v[1]
             depth -= distance * v[2]
             if not collided:
                 in_gap = False
+                can_retreat = False
                 if v[2] < 0.0:
                     z = zones.box[zone, TOP]
                 else:
@@ -222,7 +230,12 @@ def trace_path(
                     if not up:
                         zone += 1
                     if face != 3 or medium != zones.first_layer[zone]:
-                        return LOST, v, bounces, straight, rays
+                        if not can_retreat:
+                            return LOST, v, bounces, straight, rays
+                        can_retreat = False
+                        x, y, z = retreat
+                        zone -= 0 if up else 1
+                        continue
                     if zone == 0:
                         return _left(light), v, bounces, straight, rays
                     in_gap = True
@@ -237,7 +250,12 @@ def trace_path(
                 if not front:
                     n = (-n[0], -n[1], -n[2])
                 crossed = True
-                if medium == (layer if front else layer + 1):
+                if medium != (layer if front else layer + 1):
+                    if can_retreat and distance > INSIDE * box[LIFT]:
+                        can_retreat = False
+                        x, y, z = retreat
+                        continue
+                else:
                     label = 0
                     if facets.label_first[layer] >= 0:
                         label = facets.labels[facets.label_first[layer] + ids[PRIM_ID]]
@@ -246,6 +264,8 @@ def trace_path(
                         if bounces >= max_bounces:
                             return KILLED, v, bounces, straight, rays
                         bounces += 1
+                        back = min(0.5 * distance, RETREAT * box[LIFT])
+                        retreat = (x - back * v[0], y - back * v[1], z - back * v[2])
                         v, e, crossed, specular = interact(
                             facets, tables, media, share, polarised, layer, material, front, v, n, e, light,
                             scratch, path, event, seed, batch,
@@ -254,6 +274,7 @@ def trace_path(
                         absorbed[2 * layer] += _lose(
                             light, share, energy, bounces, path, event, 2, seed, batch
                         )
+                    can_retreat = not crossed
                     if crossed:
                         medium = layer + 1 if front else layer
                 # single precision puts a hit a little off the facet: step off it, to the side the path goes on
@@ -267,6 +288,7 @@ def trace_path(
             return KILLED, v, bounces, straight, rays
         bounces += 1
         straight = False
+        can_retreat = False
         energy = _energy(light, share)
         v, e = scatter(media, medium, polarised, v, e, light, path, event, seed, batch)
         absorbed[2 * medium - 1] += energy - _energy(light, share)

@@ -51,7 +51,13 @@ LOST = 5  # fell through the surface or wandered without end: numerics, or a hol
 ROULETTE_BOUNCES = 4
 MAX_SEGMENTS = 100_000  # of a path, crossings of the tile's faces included: no path can go on for ever
 
+# In steps off the facet: how far inside the body a path is no longer where rounding put it, and how far
+# before its last bounce it starts again.
+INSIDE = np.float32(16.0)
+RETREAT = np.float32(64.0)
+
 _ZERO = np.float32(0.0)
+_HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 _FAR = np.float32(np.inf)
@@ -104,6 +110,7 @@ def trace_packet(
     weight,
     polarisation,
     axis,
+    retreat,
     bounces,
     status,
     absorbed,
@@ -130,6 +137,9 @@ def trace_packet(
     polarisation, axis : ndarray or None, shapes (16, S, 3) and (16, 3)
         Work space for Q, U, V of each path and the axis they refer to, where `eta_k` is given: light comes
         in unpolarised, and every metal facet polarises it.
+    retreat : ndarray of float32, shape (16, 3)
+        Work space: a place just before each path's last bounce. In a sharp valley the step off one wall can
+        end behind the other; a path found inside the body starts again from here, once.
     bounces, status : ndarray of int64, shape (16,)
         Set to each path's number of bounces and to how it ended.
     absorbed : ndarray, shape (S,)
@@ -144,6 +154,7 @@ def trace_packet(
     ints = packet.view(np.int32)
     weight[:, :] = 1.0
     bounces[:] = 0
+    retreat[:, :] = np.nan
     segments = 0
     active = PACKET_WIDTH
     rays = 0
@@ -163,10 +174,12 @@ def trace_packet(
                 packet[T_NEAR, lane] = _ZERO
                 end = _scatter(
                     packet, lane, box.lift, eta_k, albedo, max_bounces, seed, batch, path + lane,
-                    weight, polarisation, axis, bounces, absorbed,
+                    weight, polarisation, axis, retreat, bounces, absorbed,
                 )  # fmt: skip
             else:
                 end = _cross(box, packet, lane)
+                if end == LOST and _retreat(packet, lane, retreat):
+                    end = 0
             if end == 0 and segments >= MAX_SEGMENTS:
                 end = LOST
             if end != 0:
@@ -217,7 +230,8 @@ def _cross(box, packet, lane):
 
 @kernel(allocates=False)
 def _scatter(
-    packet, lane, lift, eta_k, albedo, max_bounces, seed, batch, path, weight, polarisation, axis, bounces, absorbed
+    packet, lane, lift, eta_k, albedo, max_bounces, seed, batch, path, weight, polarisation, axis, retreat,
+    bounces, absorbed,
 ):  # fmt: skip
     """Turn a path at a hit into a new direction; returns how it ended, or 0 if it goes on."""
     nx, ny, nz = packet[NORMAL_X, lane], packet[NORMAL_Y, lane], packet[NORMAL_Z, lane]
@@ -228,14 +242,24 @@ def _scatter(
     nx *= inverse
     ny *= inverse
     nz *= inverse
+    d_n = vx * nx + vy * ny + vz * nz
+    distance = packet[T_FAR, lane]
+    if d_n >= _ZERO:
+        # a facet's back: the path started a rounding error below the surface, and goes on through
+        if distance < INSIDE * lift or not _retreat(packet, lane, retreat):
+            packet[ORG_X, lane] += nx * lift
+            packet[ORG_Y, lane] += ny * lift
+            packet[ORG_Z, lane] += nz * lift
+        return 0
+    if bounces[lane] >= max_bounces:
+        return KILLED
+    back = min(_HALF * distance, RETREAT * lift)
+    retreat[lane, 0] = packet[ORG_X, lane] - vx * back
+    retreat[lane, 1] = packet[ORG_Y, lane] - vy * back
+    retreat[lane, 2] = packet[ORG_Z, lane] - vz * back
     packet[ORG_X, lane] += nx * lift
     packet[ORG_Y, lane] += ny * lift
     packet[ORG_Z, lane] += nz * lift
-    d_n = vx * nx + vy * ny + vz * nz
-    if d_n >= _ZERO:
-        return 0  # a facet's back: the path started a rounding error below the surface, and goes on through
-    if bounces[lane] >= max_bounces:
-        return KILLED
     bounces[lane] += 1
     channels = weight.shape[1]
     if albedo is None:
@@ -264,6 +288,18 @@ def _scatter(
     if (eta_k is not None or albedo is not None) and bounces[lane] >= ROULETTE_BOUNCES:
         return _roulette(lane, eta_k, seed, batch, path, weight, polarisation, bounces, absorbed)
     return 0
+
+
+@kernel(allocates=False)
+def _retreat(packet, lane, retreat):
+    """Send a path found inside the body back to before its last bounce, in its new direction; False if it was."""
+    if math.isnan(retreat[lane, 0]):
+        return False
+    packet[ORG_X, lane] = retreat[lane, 0]
+    packet[ORG_Y, lane] = retreat[lane, 1]
+    packet[ORG_Z, lane] = retreat[lane, 2]
+    retreat[lane, 0] = np.nan
+    return True
 
 
 @kernel(allocates=False)
