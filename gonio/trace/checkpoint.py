@@ -62,7 +62,7 @@ class Checkpoint:
     ) -> None:
         if not 0.0 <= every < float("inf"):
             raise InputError(f"checkpoint: {every:g}; a number of seconds is needed, 0 for none")
-        target = Path(target)
+        self._target = target = Path(target)
         self.path = target.with_name(target.name + _SUFFIX)
         self._measurement = measurement
         self._identity = identity(measurement)
@@ -86,7 +86,8 @@ class Checkpoint:
         InputError
             The file is of another measurement, damaged, or there although `resume` is False.
         """
-        _remove_leftovers(self.path)
+        for path in (self.path, self._target):
+            _remove_leftovers(path)
         if not self.path.exists():
             return False
         if not resume:
@@ -144,7 +145,7 @@ class Checkpoint:
 
 
 def _remove_leftovers(path: Path) -> None:
-    """Remove temporary files of `atomic` for this path, left by processes that were killed."""
+    """Remove temporary files of `gonio.files.atomic` for this path, left by processes that were killed."""
     for leftover in path.parent.glob(f".{glob.escape(path.stem[:80])}-????????{glob.escape(path.suffix)}"):
         with suppress(OSError):
             leftover.unlink()

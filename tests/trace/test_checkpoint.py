@@ -148,6 +148,15 @@ def test_an_unfinished_measurement_is_not_thrown_away(tmp_path):
     assert checkpoint.path.exists()
 
 
+def test_temporary_files_of_killed_processes_are_removed(tmp_path):
+    left = [".t-abcd1234.h5", ".t.h5-abcd1234.checkpoint"]
+    others = [".t2-abcd1234.h5", ".t-abcd1234.txt", "t-abcd1234.h5"]
+    for name in (*left, *others):
+        (tmp_path / name).touch()
+    measure(specimen(), rays=1000, checkpoint=tmp_path / "t.h5", every=0.0)
+    assert {p.name for p in tmp_path.iterdir()} == set(others)
+
+
 @pytest.mark.parametrize("damage", ["empty", "truncated", "foreign", "flipped", "other arrays"])
 def test_a_damaged_checkpoint_is_refused(tmp_path, damage):
     checkpoint = interrupted(tmp_path / "t.h5", 1)
@@ -199,19 +208,8 @@ def test_no_checkpoints_on_request(tmp_path):
 
 def trace(folder, out, rays):
     """`gonio trace` with a checkpoint after every batch, in a process of its own."""
-    arguments = [
-        "spec.toml",
-        "-o",
-        out,
-        "--rays",
-        str(rays),
-        "--seed",
-        "3",
-        "--checkpoint",
-        "1e-9",
-        "--resume",
-    ]
-    sys.argv = ["gonio", "trace", *arguments]
+    arguments = f"spec.toml -o {out} --rays {rays} --seed 3 --checkpoint 1e-9 --resume"
+    sys.argv = ["gonio", "trace", *arguments.split()]
     os.chdir(folder)
     sys.stdout = sys.stderr = open(f"{out}.txt", "a", buffering=1)  # noqa: SIM115 (until the process ends)
     main()
@@ -256,6 +254,7 @@ def kill_and_resume(spawn, folder, times, seed):
             killed += exitcode != 0
         resumed += (folder / f"{out}.txt").read_text().count("going on after")
         assert_same(Table.load(folder / out), straight)
+        # neither checkpoints nor temporary files
         left = {p.name for p in folder.iterdir() if p.name.startswith((f"{out}.", f".{out[:-3]}"))}
         assert left == {f"{out}.txt"}
     return resumed

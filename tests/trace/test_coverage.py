@@ -9,6 +9,7 @@ A class is judged by its mean over runs, with the error of that mean from the sc
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -32,7 +33,7 @@ def classes(expected):
     """Cells by name of class: of paths expected, and of rings; `expected` of shape (rows, rings, sectors)."""
     found = {
         f"{low:g} to {high:g} paths": (expected >= low) & (expected < high)
-        for low, high in zip(EXPECTED[:-1], EXPECTED[1:], strict=True)
+        for low, high in pairwise(EXPECTED)
     }
     known = expected >= EXPECTED[0]
     rings = np.arange(expected.shape[1])[None, :, None]

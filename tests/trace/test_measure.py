@@ -139,13 +139,16 @@ def test_groove_seen_from_all_sides_still_turns_light_by_twice_its_slope():
 
 
 def test_empty_cells_have_an_upper_bound():
+    """3 / (paths x projected solid angle) where paths are independent; up to 16 times that where packets agree."""
     table = measure(
         specimen({"kind": "v_groove", "slope_deg": 20}, MIRROR, theta_i_deg=[0], **COARSE), rays=20_000
     )
     empty = table.hits == 0
     assert empty.any()
     bound = 3 / (table.ledger["paths"] * np.broadcast_to(table.projected_solid_angles, empty.shape))
-    assert table.std_error[..., 0][empty] == pytest.approx(bound[empty])
+    # all paths of a packet come from one direction, and such a groove sends them to two places
+    clump = table.std_error[..., 0][empty] / bound[empty]
+    assert 8 < clump.min() <= clump.max() < 16
     assert np.all(table.std_error > 0)
 
 
