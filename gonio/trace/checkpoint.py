@@ -23,7 +23,7 @@ from gonio.files import atomic
 from microgeometry.errors import InputError
 
 if TYPE_CHECKING:
-    from gonio.trace.measure import Measurement
+    from gonio.trace.measurement import Measurement
 
 EVERY = 30.0
 """Seconds between checkpoints."""

@@ -27,7 +27,7 @@ from gonio.trace.tally import Tally
 from microgeometry.errors import InputError
 
 if TYPE_CHECKING:
-    from gonio.trace.measure import Measurement
+    from gonio.trace.measurement import Measurement
 
 _TIMEOUT = 10.0  # seconds to find the scheduler
 _AHEAD = 2  # batches handed out for each thread of the workers
@@ -105,7 +105,6 @@ class Cluster:
         """
         started = time.perf_counter()
         tally, schedule = measurement.tally, measurement.schedule
-        measurement.traced_all = False
         last = min(schedule.until, tally.batches + max(1, _AHEAD * self._threads()))
         for batch in range(tally.batches, last):
             if batch not in self._waiting:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.trace.batch import MAX_PASSES
-from gonio.trace.tally import SheetTally, Tally
+from gonio.trace.sheets import SheetTally
+from gonio.trace.tally import Tally
 from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
@@ -30,7 +31,7 @@ _ENERGY = 0.99  # of a row's light: the cells that hold it count, and what holds
 _PERCENTILE = 0.95  # of these cells have errors below the target
 _MAX_VOV = 0.1  # MCNP's limit for the variance of the variance; 32 normal batches have 0.065
 _CLEAR = 0.1  # part of the error allowed below which its variance is not asked for
-_KEPT = 16.0  # batches of a row's new size that its old ones must amount to; see `gonio.trace.tally`
+_KEPT = 16.0  # batches of a row's new size that its old ones must amount to; see `gonio.trace.sheets`
 
 
 def check_target(target: float) -> float:

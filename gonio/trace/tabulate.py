@@ -10,13 +10,12 @@ import numpy as np
 from gonio.table.checks import relative_noise
 from gonio.table.parts import TRANSMISSION, order_names
 from gonio.table.table import Table
+from gonio.trace.sheets import SheetTally
 from gonio.trace.stopping import judge
-from gonio.trace.tally import SheetTally
-from gonio.trace.tracer import _STATISTICS_TILES, Tracer
 from microgeometry.specimen import Specimen
 
 if TYPE_CHECKING:
-    from gonio.trace.measure import Measurement
+    from gonio.trace.measurement import Measurement
 
 _GIVEN = ("heightmap", "mesh")  # surfaces that are one piece, as measured
 _ONE_REALISATION = (
@@ -75,7 +74,7 @@ def _sheet(
 def _provenance(measurement: Measurement) -> dict[str, Any]:
     specimen, tally = measurement.specimen, measurement.tally
     paths = tally.ledger["paths"]
-    surfaces = _surfaces(measurement)
+    surfaces = measurement.tracer.statistics(tally.batches)
     return {
         "name": specimen.name,
         "specimen": specimen.text,
@@ -129,13 +128,3 @@ def _colour(specimen: Specimen) -> dict[str, Any]:
         "luminance": grid.luminance,
     }
     return {"colour": colour}
-
-
-def _surfaces(measurement: Measurement) -> list[dict[str, float]]:
-    """Statistics of the first realisations, also where others than the measurement's tracer traced them."""
-    if measurement.traced_all:
-        return measurement.tracer.statistics()
-    tracer = Tracer(measurement.specimen, measurement.job.seed, measurement.batches.paths_per_pass)
-    for batch in range(min(measurement.tally.batches, _STATISTICS_TILES)):
-        tracer.realise(batch)
-    return tracer.statistics()

@@ -17,7 +17,8 @@ from gonio.cli import main
 from gonio.table.parts import walk
 from gonio.trace import checkpoint as checkpoint_module
 from gonio.trace.checkpoint import Checkpoint, fingerprint
-from gonio.trace.measure import Measurement, measure, run
+from gonio.trace.measure import measure, run
+from gonio.trace.measurement import Measurement
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
 from microgeometry.specimen import parse_specimen

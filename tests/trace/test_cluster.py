@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from gonio.trace.checkpoint import Checkpoint
-from gonio.trace.measure import Measurement, measure, run
+from gonio.trace.measure import measure, run
+from gonio.trace.measurement import Measurement
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
 from microgeometry.specimen import parse_specimen

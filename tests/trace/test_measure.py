@@ -13,7 +13,8 @@ from scipy import stats
 
 from gonio.core.optics import fresnel_conductor
 from gonio.trace.errors import TraceError
-from gonio.trace.measure import Measurement, measure
+from gonio.trace.measure import measure
+from gonio.trace.measurement import Measurement
 from microgeometry.errors import InputError
 from microgeometry.specimen import parse_specimen
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gonio.trace.measure import Measurement, measure
+from gonio.trace.measure import measure
+from gonio.trace.measurement import Measurement
 from gonio.trace.stopping import FIRST_ROUND, Schedule, Verdict, judge
 from gonio.trace.tally import Tally
 from gonio.validation import seed_from

@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from gonio.trace import tally as tally_module
+from gonio.trace import sheets
 from gonio.trace.analog import LEDGER, LEDGER_COLUMNS, RAYS
 from gonio.trace.tally import Tally
 from gonio.validation import seed_from
@@ -21,7 +21,7 @@ NAMES = ("absorbed: layer 1 surface", "absorbed: layer 2 medium")
 @pytest.fixture(autouse=True)
 def _errors_are_the_scatter(monkeypatch):
     """What else goes into the error of a cell has tests of its own, in test_coverage."""
-    monkeypatch.setattr(tally_module, "cell_errors", lambda mean, variance, *_: np.sqrt(variance))
+    monkeypatch.setattr(sheets, "cell_errors", lambda mean, variance, *_: np.sqrt(variance))
 
 
 def batches(chunks, sheets, dark=()):
