@@ -91,6 +91,8 @@ def trace(
         if not interrupted:
             checkpoint.remove()
     click.echo(_one_line(table, out))
+    if one := table.provenance.get("one_realisation"):
+        click.echo(f"one realisation: {one}")
     if target_error is not None:
         met = "met" if table.provenance["target_met"] else "NOT met"
         click.echo(f"target {met}: {table.provenance['target_reached']}")
