@@ -247,23 +247,30 @@ MEMORY = """
 import resource, sys
 from gonio.trace.measure import measure
 from microgeometry.specimen import parse_specimen
+step, rays, out = float(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
 s = parse_specimen({"surface": {"kind": "gaussian", "alpha": 0.5, "samples": 128, "size": 16},
-                    "material": {"kind": "conductor", "name": "Au"}})
-measure(s, rays=int(sys.argv[1]))
+                    "material": {"kind": "conductor", "name": "Au"},
+                    "grid": {"theta_step_deg": step, "phi_step_deg": step}})
+measure(s, rays=rays, checkpoint=out, every=5.0).save(out)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
 """
 
 
+def peak_memory(step, rays, out):
+    """Bytes that a process needs at most to trace an RGB table, with checkpoints, and to save it."""
+    command = [sys.executable, "-c", MEMORY, str(step), str(rays), str(out)]
+    return int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+
 @pytest.mark.compiled
-def test_memory_of_a_one_degree_rgb_trace():
-    """Below 2 GiB, and flat in the number of rays."""
-    few, many = (
-        int(
-            subprocess.run(
-                [sys.executable, "-c", MEMORY, n], capture_output=True, text=True, check=True
-            ).stdout
-        )
-        for n in ("100000", "4000000")
-    )
-    assert many < 2 * 2**30
+def test_memory_of_a_one_degree_table_is_flat_in_rays(tmp_path):
+    few, many = (peak_memory(1, rays, tmp_path / "t.h5") for rays in (100_000, 4_000_000))
+    assert many < 2**30
     assert many < 1.1 * few
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_a_half_degree_table_fits_in_four_gigabytes(tmp_path):
+    """11.7 million cells, each of three channels, with checkpoints."""
+    assert peak_memory(0.5, 100_000, tmp_path / "t.h5") < 4 * 2**30
