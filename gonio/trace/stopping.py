@@ -206,8 +206,9 @@ class Schedule:
         needed = np.ceil(paths * np.maximum(lack - 1.0, 0.0))
         self.goal = int(paths.sum() + needed.sum())
         full = len(paths) * self._paths_per_pass
-        # errors of errors: look again before the paths have grown by half
-        length = int(np.clip(np.ceil(needed.sum() / full), 1, max(8, tally.batches // 2)))
+        # errors of errors: look again before the paths have grown by half; but looking takes time as well
+        fewest, most = max(1, tally.batches // 16), max(8, tally.batches // 2)
+        length = int(np.clip(np.ceil(needed.sum() / full), fewest, most))
         if self._batches is not None:
             length = min(length, self._batches - tally.batches)
         self.until = tally.batches + length
