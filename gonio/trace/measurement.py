@@ -127,9 +127,9 @@ class Measurement:
         """
         started = time.perf_counter()
         with self.adding():
-            self.batches.trace(
-                self.tally.batches, self.schedule.passes, self.tally.accumulators, self.threads
-            )
+            batch = self.tally.batches
+            passes = self.schedule.passes(batch)
+            self.batches.trace(batch, passes, self.tally.accumulators, self.threads)
             self.close_batch(started)
 
     @contextmanager
@@ -150,7 +150,8 @@ class Measurement:
             So many paths are lost that going on is pointless.
         """
         with uninterrupted():
-            self.tally.close_batch(self.schedule.passes, self.batches.paths_per_pass, self.threads)
+            passes = self.schedule.passes(self.tally.batches)
+            self.tally.close_batch(passes, self.batches.paths_per_pass, self.threads)
             self.schedule.advance(self.tally, self.batches.areas)
             self.seconds += time.perf_counter() - started
         self._check_lost(1e-3)
