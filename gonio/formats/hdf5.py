@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.files import atomic
+from gonio.formats.hdf5_filters import Filtered
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -174,16 +175,22 @@ def _write(group: h5py.Group, table: Table, compressed: Compressed | None, path:
             continue
         _write_data(group, name, np.asarray(data), axes, unit)
     if content is not None:
-        inner = group.create_group("compressed")
-        for name, item in content.items():
-            if isinstance(item, np.ndarray):
-                inner[name] = item
-            else:
-                inner.attrs[name] = item
+        write_content(group.create_group("compressed"), content)
     if table.parts:
         parts = group.create_group("parts", track_order=True)
         for name, part in table.parts.items():
             _write(parts.create_group(name), part, compressed, f"{path}/{name}".lstrip("/"))
+
+
+def write_content(group: h5py.Group, content: Mapping[str, Any]) -> None:
+    """Write the content of a compressed table: arrays as datasets, numbers and text as attributes."""
+    for name, item in content.items():
+        if isinstance(item, Filtered):
+            item.create(group, name)
+        elif isinstance(item, np.ndarray):
+            group[name] = item
+        else:
+            group.attrs[name] = item
 
 
 def _write_scale(group: h5py.Group, name: str, data: NDArray, unit: str) -> None:

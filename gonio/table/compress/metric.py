@@ -10,6 +10,10 @@ from gonio.table.table import Table
 
 Array = NDArray[np.float64]
 
+_SIGMAS = 3.0
+_ROUNDING = 1e-12
+_CANCELLED = 0.1
+
 
 def cosine_weights(theta_r_edges: Array, delta_phi_edges: Array) -> Array:
     """Root of each cell's projected solid angle: the plain L2 norm of f times it is the metric's.
@@ -45,9 +49,45 @@ def row_noise(table: Table) -> Array:
 
     Cells without hits carry an upper bound for an error, not an error; they are left out.
     """
+    return _noise(table)[0]
+
+
+def row_bounds(table: Table, max_error: float) -> Array:
+    """Error allowed in each row and channel, shape (I, C): `max_error`, or what the row's noise explains.
+
+    The truth itself differs from a row by its noise, give or take: the sum over cells of squared errors of
+    n cells scatters by sqrt(2/n), and by as much again for error bars from few batches. So _SIGMAS of that
+    are allowed on top; without, the noisiest row of many would be followed into its noise.
+    """
+    noise, scatter = _noise(table)
+    return np.maximum(max_error, noise * np.sqrt(1.0 + _SIGMAS * scatter))
+
+
+def albedo_errors(table: Table, values: Array) -> Array:
+    """Relative difference of the rows' reflectance, by sums over the cells, per row and channel."""
+    areas = table.projected_solid_angles
+    total = np.einsum("irpc,rp->ic", table.values, areas)
+    difference = np.abs(np.einsum("irpc,rp->ic", values - table.values, areas))
+    # of colours outside the gamut a channel may cancel: relative to what is there of either sign
+    size = np.einsum("irpc,rp->ic", np.abs(table.values), areas)
+    difference[difference <= _ROUNDING * size] = 0.0
+    unbounded = np.where(difference > 0, np.inf, 0.0)
+    return np.divide(difference, np.maximum(np.abs(total), _CANCELLED * size), out=unbounded, where=size > 0)
+
+
+def excess(table: Table, values: Array, bounds: Array) -> Array:
+    """Error of brdf or of albedo over what is allowed, the larger, per row and channel, shape (I, C)."""
+    return np.maximum(row_errors(table, values), albedo_errors(table, values)) / bounds
+
+
+def _noise(table: Table) -> tuple[Array, Array]:
+    """Relative noise of rows, and the relative scatter of its square, shape (I, C) each."""
     if table.std_error is None:
-        return np.zeros(table.row_albedo.shape)
+        return np.zeros(table.row_albedo.shape), np.zeros(table.row_albedo.shape)
     weights = cosine_weights(table.theta_r_edges, table.delta_phi_edges)
     norms = row_norms(table.values, weights)
-    noise = row_norms(np.where(table.values > 0, table.std_error, 0.0), weights)
-    return np.divide(noise, norms, out=np.zeros_like(norms), where=norms > 0)
+    variance = (np.where(table.values > 0, table.std_error, 0.0) * weights[:, :, None]) ** 2
+    total = variance.sum(axis=(1, 2))
+    noise = np.divide(np.sqrt(total), norms, out=np.zeros_like(norms), where=norms > 0)
+    scatter = np.sqrt(4.0 * np.sum(variance**2, axis=(1, 2)))
+    return noise, np.divide(scatter, total, out=np.zeros_like(norms), where=total > 0)
