@@ -259,6 +259,39 @@ def test_methods_that_cannot_hold_the_bound_are_passed_over(tmp_path, monkeypatc
         compress(table, tmp_path / "c.h5")
 
 
+def test_a_part_that_the_chosen_method_cannot_hold_falls_back(tmp_path, monkeypatch):
+    class OnlyTheTable:
+        @staticmethod
+        def encode(table, bounds, rounds):
+            if not table.parts:
+                raise InputError("max_error: no step of quantisation holds it")
+            return {"none": np.zeros(1)}
+
+        @staticmethod
+        def decode(content, fields):
+            return table.values
+
+    table = make(ggx(0.5, 0.9), EDGES)
+    table = table.replace(parts={"L1": share(table, 0.5)})
+    monkeypatch.setitem(METHODS, "picky", OnlyTheTable)
+    report = compress(table, tmp_path / "c.h5")
+    assert report.method == "picky"
+    decoded = Table.load(tmp_path / "c.h5")
+    assert decoded.provenance["compression"]["method"] == "picky"
+    assert decoded.parts["L1"].provenance["compression"]["method"] == "tree"
+    with pytest.raises(InputError, match="no step"):
+        compress(table, tmp_path / "c.h5", method="picky")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_constant_table_of_full_size(tmp_path, method):
+    """Content may be a thousandth of what it decodes to; reading must not take that for damage."""
+    table = make(lambert, grid(45, 60, 90))
+    report = compress(table, tmp_path / "c.h5", method=method)
+    assert report.error_worst <= 0.01
+    assert report.bytes < 40_000
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_negative_colours_stay_negative(tmp_path, method):
     """A colour outside the gamut has a negative channel; its albedo is held like any other."""

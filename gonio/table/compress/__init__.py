@@ -23,12 +23,12 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.files import atomic
 from gonio.formats import hdf5
+from gonio.formats.hdf5_content import stored_bytes
 from gonio.table.compress import codecs, dct, low_rank, tree
 from gonio.table.compress.frame import ROUNDS
 from gonio.table.compress.metric import cosine_weights, excess, row_bounds, row_errors, row_noise
@@ -79,6 +79,9 @@ METHODS: dict[str, Method] = {
 
 AUTO = "auto"
 """In place of a method's name: the one of the smallest file."""
+
+FALLBACK = "tree"
+"""For a part of a table that the method chosen for the table cannot hold to its bound."""
 
 
 @dataclass(frozen=True)
@@ -170,12 +173,11 @@ def compress(
             raise InputError(f"max_error: {max_error}; no method holds it, allow more")
         method = min(sizes, key=lambda name: sizes[name])
     content = {
-        part: {"method": method, **known[method].encode(t, bounds[part], ROUNDS)}
-        for part, t in tables.items()
+        part: _content(t, bounds[part], method, FALLBACK if sizes else None) for part, t in tables.items()
     }
     facts = {
         part: {
-            "method": method,
+            "method": content[part]["method"],
             "max_error": max_error,
             "noise_worst": float(noise[part].max()),
             "noise_median": float(np.median(noise[part])),
@@ -214,6 +216,16 @@ def compress(
     )
 
 
+def _content(table: Table, bounds: NDArray, method: str, fallback: str | None) -> dict[str, Any]:
+    """What stands for the values; by `fallback`, if any, where the method cannot hold the bounds."""
+    try:
+        return {"method": method, **METHODS[method].encode(table, bounds, ROUNDS)}
+    except InputError:
+        if fallback is None or fallback == method:
+            raise
+    return {"method": fallback, **METHODS[fallback].encode(table, bounds, ROUNDS)}
+
+
 def trial_sizes(table: Table, bounds: NDArray[np.float64]) -> dict[str, int]:
     """Bytes of content by method, of a quick trial of each; without those that cannot hold the bounds."""
     sizes = {}
@@ -223,14 +235,6 @@ def trial_sizes(table: Table, bounds: NDArray[np.float64]) -> dict[str, int]:
         except InputError:
             continue
     return sizes
-
-
-def stored_bytes(content: Mapping[str, Any]) -> int:
-    """Bytes that the content takes in a file, without HDF5's own book-keeping."""
-    with h5py.File("memory", "w", driver="core", backing_store=False) as file:
-        hdf5.write_content(file, content)
-        file.flush()
-        return sum(dataset.id.get_storage_size() for dataset in file.values())
 
 
 def _slim(table: Table, facts: Mapping[str, Any], path: str = "") -> Table:

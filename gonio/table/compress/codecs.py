@@ -16,12 +16,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import h5py
 import hdf5plugin
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.formats.hdf5_filters import Filtered
+from gonio.formats.hdf5_content import Filtered
 from gonio.table.compress.frame import ROUNDS, Frame, hold, shape_of
 from gonio.table.compress.packing import step_of
 from gonio.table.table import Table
@@ -51,7 +50,7 @@ class Codec:
 
         def prepare(frame: Frame) -> Callable[[float], Array]:
             array = np.moveaxis(frame.normalise(table.values), -1, 0)
-            return lambda step: frame.restore(self._values(_through(self._filtered(array, step)), step))
+            return lambda step: frame.restore(self._values(self._filtered(array, step).through(), step))
 
         frame, step = hold(table, bounds, prepare, rounds)
         array = np.moveaxis(frame.normalise(table.values), -1, 0)
@@ -80,11 +79,3 @@ SZ3 = Codec(lambda step: hdf5plugin.SZ3(absolute=step))
 BLOSC2 = Codec(
     lambda step: hdf5plugin.Blosc2(cname="zstd", clevel=9, filters=hdf5plugin.Blosc2.BITSHUFFLE), True
 )
-
-
-def _through(filtered: Filtered) -> NDArray:
-    """What a file would give back."""
-    with h5py.File("memory", "w", driver="core", backing_store=False) as file:
-        filtered.create(file, "array")
-        file.flush()
-        return file["array"][()]
