@@ -8,7 +8,12 @@ from typing import Any
 
 from microgeometry.errors import InputError
 
-BENCHMARKS = {"trace": "gonio.bench.trace", "materials": "gonio.bench.materials"}
+BENCHMARKS = {
+    "trace": "gonio.bench.trace",
+    "materials": "gonio.bench.materials",
+    "compress": "gonio.bench.compress",
+    "sample": "gonio.bench.sample",
+}
 """Name to module; a module has ``run(say) -> dict``."""
 
 
