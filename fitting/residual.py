@@ -20,7 +20,6 @@ from fitting.fit import fit
 from fitting.result import _from_json
 from fitting.tabulate import tabulate
 from gonio.table.compress import METHODS, tree
-from gonio.table.compress.frame import ROUNDS
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -33,7 +32,7 @@ _SECONDS = 20.0
 _NEEDED = ("schema", "model", "lobes", "channels")
 
 
-def encode(table: Table, bounds: Array, rounds: int = ROUNDS) -> dict[str, Any]:
+def encode(table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
     """As `gonio.table.compress.dct.encode`.
 
     Raises
@@ -44,7 +43,7 @@ def encode(table: Table, bounds: Array, rounds: int = ROUNDS) -> dict[str, Any]:
     found = fit(table, MODEL, max_seconds=_SECONDS)
     text = json.dumps({key: value for key, value in found.to_json().items() if key in _NEEDED})
     base = _base(text, table)
-    return {"model": np.frombuffer(text.encode(), np.uint8), **tree.encode(table, bounds, rounds, base)}
+    return {"model": np.frombuffer(text.encode(), np.uint8), **tree.encode(table, bounds, quick, base)}
 
 
 def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> Array:

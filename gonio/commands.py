@@ -80,11 +80,18 @@ def info(table: Path, as_json: bool) -> None:
 @click.argument("table", type=_PATH)
 @_JSON
 def check(table: Path, as_json: bool) -> None:
-    """Check a table: reciprocity, energy, parts, positivity, noise. Exit status 1 if it fails."""
-    from gonio.table.checks import check as run_checks
+    """Check a table: reciprocity, energy, parts, positivity, noise. Exit status 1 if it fails.
 
-    report = run_checks(formats.read(table))
-    click.echo(json.dumps(report.to_json()) if as_json else "\n".join(report.lines()))
+    Ends with a map of the noise, where the table has error bars; --json holds it too, and the energy of every
+    theta_i.
+    """
+    from gonio.table.checks import check as run_checks
+    from gonio.table.checks import noise_lines
+
+    content = formats.read(table)
+    report = run_checks(content)
+    lines = report.lines() if content.std_error is None else [*report.lines(), *noise_lines(content)]
+    click.echo(json.dumps(report.to_json()) if as_json else "\n".join(lines))
     if not report.passed:
         raise click.exceptions.Exit(1)
 

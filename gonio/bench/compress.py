@@ -66,8 +66,8 @@ def _compare(table: Table, say: Callable[[str], None]) -> dict[str, Any]:
                     table.save(path)
                 else:
                     compress(table, path, _MAX_ERROR, method)
-            except InputError as error:
-                say(f"  {method:10} {error}")
+            except InputError as refusal:
+                say(f"  {method:10} {refusal}")
                 continue
             written = time.perf_counter()
             decoded = Table.load(path)

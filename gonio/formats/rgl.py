@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gonio.core.directions import direction
 from gonio.formats.cells import average_cells, row_centres, table_of, uniform_grid
+from gonio.formats.colour import RGB_TO_XYZ
 from gonio.formats.losses import common_losses
 from gonio.formats.tensor_file import read_tensors, write_tensors
 from gonio.formats.warp import Warp, bilinear
@@ -65,6 +66,8 @@ def read(path: Path) -> Table:
     values, gaps = average_cells(look, n, edges, phi_edges, n_channels)
     wavelengths = fields.get("wavelengths")
     names = _RGB if wavelengths is None else tuple(f"{w:g} nm" for w in wavelengths)
+    # outside the gamut of sRGB a channel is below 0; the luminance is what must not be
+    colour = {"colour": {"luminance": RGB_TO_XYZ[1].tolist()}} if wavelengths is None else {}
     description = bytes(fields["description"].astype(np.uint8)).decode("utf-8", "replace")
     return table_of(
         values,
@@ -75,7 +78,7 @@ def read(path: Path) -> Table:
         names,
         theta_i_edges=edges,
         wavelengths_nm=None if wavelengths is None else tuple(wavelengths.tolist()),
-        provenance={"source": path.name, "format": "RGL", "description": description},
+        provenance={"source": path.name, "format": "RGL", "description": description, **colour},
     )
 
 

@@ -188,7 +188,7 @@ def test_parts_lose_error_bars_and_hits_and_say_their_noise(tmp_path):
 def test_a_part_that_breaks_the_bound_leaves_no_file(tmp_path, monkeypatch):
     class OnlyTheTable:
         @staticmethod
-        def encode(table, bounds, rounds):
+        def encode(table, bounds, quick=False):
             return {"raw": table.values if table.parts else 1.02 * table.values}
 
         @staticmethod
@@ -247,7 +247,7 @@ def test_auto_takes_the_smallest(tmp_path):
 def test_methods_that_cannot_hold_the_bound_are_passed_over(tmp_path, monkeypatch):
     class Never:
         @staticmethod
-        def encode(table, bounds, rounds):
+        def encode(table, bounds, quick=False):
             raise InputError("max_error: no step of quantisation holds it")
 
     table = make(ggx(0.5, 0.9), EDGES)
@@ -262,7 +262,7 @@ def test_methods_that_cannot_hold_the_bound_are_passed_over(tmp_path, monkeypatc
 def test_a_part_that_the_chosen_method_cannot_hold_falls_back(tmp_path, monkeypatch):
     class OnlyTheTable:
         @staticmethod
-        def encode(table, bounds, rounds):
+        def encode(table, bounds, quick=False):
             if not table.parts:
                 raise InputError("max_error: no step of quantisation holds it")
             return {"none": np.zeros(1)}
@@ -336,6 +336,13 @@ def test_bounds_follow_the_noise():
     np.testing.assert_allclose(row_bounds(noisy, 0.01), expected)
     np.testing.assert_array_equal(row_bounds(noisy, 0.3), 0.3)
     np.testing.assert_array_equal(row_bounds(table, 0.01), 0.01)
+
+
+def test_a_dark_channel_is_measured_against_a_tenth_of_the_brightest():
+    """Red of a deep blue may be the small difference of large numbers."""
+    table = make(ggx(0.4, 0.9), EDGES, tint=(1.0, 0.5, 0.01))
+    np.testing.assert_allclose(row_errors(table, 1.02 * table.values), [[0.02, 0.02, 0.002]] * 30)
+    np.testing.assert_allclose(albedo_errors(table, 1.02 * table.values), [[0.02, 0.02, 0.002]] * 30)
 
 
 def test_metric_of_a_constant():
@@ -423,7 +430,7 @@ def test_a_method_is_replaceable(tmp_path, monkeypatch):
 
     class Plain:
         @staticmethod
-        def encode(table, bounds, rounds):
+        def encode(table, bounds, quick=False):
             return {"raw": table.values}
 
         @staticmethod
@@ -437,7 +444,7 @@ def test_a_method_is_replaceable(tmp_path, monkeypatch):
 def test_a_method_that_breaks_its_promise_leaves_no_file(tmp_path, monkeypatch):
     class Wrong:
         @staticmethod
-        def encode(table, bounds, rounds):
+        def encode(table, bounds, quick=False):
             return {"raw": 1.02 * table.values}
 
         @staticmethod

@@ -5,7 +5,7 @@ E = ||f' - f|| / ||f||, norms over the row's cells in projected solid angle (cos
 held to max_error, or to its own noise where that is larger: to follow noise more closely than its error bar
 would store chance. So is its albedo, the sum over its cells.
 
-A method has ``encode(table, bounds, rounds) -> content``, the content a mapping of arrays, numbers and text,
+A method has ``encode(table, bounds, quick) -> content``, the content a mapping of arrays, numbers and text,
 and ``decode(content, fields) -> values``; it is one line in `METHODS`. Other packages register theirs under
 the entry points ``gonio.compression``: modules that add their line when they are imported. The file is an
 HDF5 table that holds the content in place of its values (see `gonio.formats.hdf5`): `Table.load` opens it
@@ -30,7 +30,6 @@ from gonio.files import atomic
 from gonio.formats import hdf5
 from gonio.formats.hdf5_content import stored_bytes
 from gonio.table.compress import codecs, dct, low_rank, tree
-from gonio.table.compress.frame import ROUNDS
 from gonio.table.compress.metric import cosine_weights, excess, row_bounds, row_errors, row_noise
 from gonio.table.parts import walk
 from gonio.table.table import Table
@@ -54,10 +53,10 @@ __all__ = [
 class Method(Protocol):
     """A method of compression: a module, or an object like one."""
 
-    def encode(self, table: Table, bounds: NDArray, rounds: int = ..., /) -> dict[str, Any]:
+    def encode(self, table: Table, bounds: NDArray, quick: bool = ..., /) -> dict[str, Any]:
         """Content whose decoded values hold the bounds, shape (I, C); InputError where it cannot.
 
-        `rounds` is the effort: 1 for a size to compare methods by.
+        `quick`: the size need only be good enough to compare methods by.
         """
 
     def decode(self, content: Mapping[str, Any], fields: Mapping[str, Any], /) -> NDArray[np.float64]:
@@ -219,11 +218,11 @@ def compress(
 def _content(table: Table, bounds: NDArray, method: str, fallback: str | None) -> dict[str, Any]:
     """What stands for the values; by `fallback`, if any, where the method cannot hold the bounds."""
     try:
-        return {"method": method, **METHODS[method].encode(table, bounds, ROUNDS)}
+        return {"method": method, **METHODS[method].encode(table, bounds)}
     except InputError:
         if fallback is None or fallback == method:
             raise
-    return {"method": fallback, **METHODS[fallback].encode(table, bounds, ROUNDS)}
+    return {"method": fallback, **METHODS[fallback].encode(table, bounds)}
 
 
 def trial_sizes(table: Table, bounds: NDArray[np.float64]) -> dict[str, int]:
@@ -231,7 +230,7 @@ def trial_sizes(table: Table, bounds: NDArray[np.float64]) -> dict[str, int]:
     sizes = {}
     for name, method in methods().items():
         try:
-            sizes[name] = stored_bytes(method.encode(table, bounds, 1))
+            sizes[name] = stored_bytes(method.encode(table, bounds, True))
         except InputError:
             continue
     return sizes

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.formats.hdf5_content import Filtered
-from gonio.table.compress.frame import ROUNDS, Frame, hold, shape_of
+from gonio.table.compress.frame import Frame, hold, shape_of
 from gonio.table.compress.packing import step_of
 from gonio.table.table import Table
 
@@ -45,14 +45,14 @@ class Codec:
     options: Callable[[float], Mapping[str, Any]]
     rounded: bool = False
 
-    def encode(self, table: Table, bounds: Array, rounds: int = ROUNDS) -> dict[str, Any]:
+    def encode(self, table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
         """As `gonio.table.compress.dct.encode`."""
 
         def prepare(frame: Frame) -> Callable[[float], Array]:
             array = np.moveaxis(frame.normalise(table.values), -1, 0)
             return lambda step: frame.restore(self._values(self._filtered(array, step).through(), step))
 
-        frame, step = hold(table, bounds, prepare, rounds)
+        frame, step = hold(table, bounds, prepare, quick)
         array = np.moveaxis(frame.normalise(table.values), -1, 0)
         return {"step": step, **frame.content(), "array": self._filtered(array, step)}
 

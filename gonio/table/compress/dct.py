@@ -19,17 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from gonio.table.compress.frame import ROUNDS, Frame, hold, shape_of
+from gonio.table.compress.frame import Frame, hold, shape_of
 from gonio.table.compress.packing import pack_sparse, step_of, unpack_sparse
 from gonio.table.table import Table
 
 Array = NDArray[np.float64]
 
 
-def encode(table: Table, bounds: Array, rounds: int = ROUNDS) -> dict[str, Any]:
+def encode(table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
     """Compress the values so that each row and channel's error is at most `bounds`, shape (I, C).
 
-    `rounds` is that of `gonio.table.compress.frame.hold`.
+    `quick` is that of `gonio.table.compress.frame.hold`.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def encode(table: Table, bounds: Array, rounds: int = ROUNDS) -> dict[str, Any]:
         coefficients = _forward(frame.normalise(table.values))
         return lambda step: frame.restore(_backward(np.rint(coefficients / step) * step))
 
-    frame, step = hold(table, bounds, prepare, rounds)
+    frame, step = hold(table, bounds, prepare, quick)
     quantised = np.rint(_forward(frame.normalise(table.values)) / step).astype(np.int32)
     return {"step": step, **frame.content(), **pack_sparse(quantised.ravel()[order(quantised.shape)])}
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.core.directions import projected_solid_angles
-from gonio.table.compress.metric import cosine_weights, excess, row_norms
+from gonio.table.compress.metric import cosine_weights, excess, reference_norms
 from gonio.table.compress.packing import pack, signed, signless, unpack
 from gonio.table.table import Table
 from microgeometry.errors import InputError
@@ -30,9 +30,7 @@ Array = NDArray[np.float64]
 _RING_STEP = 0.01  # relative, of the stored means of rings
 _MAX_VALUES = 2**28  # 2 GiB of float64: what a damaged file may make us allocate at most
 _TRIALS = 8
-
-ROUNDS = 2
-"""Of `hold`, where the best is wanted."""
+_NEAR = 0.02
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class Frame:
         """The frame of a table whose rows may err by `bounds`, shape (I, C), of their norms."""
         weights = cosine_weights(table.theta_r_edges, table.delta_phi_edges)
         # float32 is what the file holds; the encoder works with the same numbers
-        scale = (row_norms(table.values, weights) * bounds).astype(np.float32).astype(float)
+        scale = (reference_norms(table.values, weights) * bounds).astype(np.float32).astype(float)
         total = np.einsum("irpc,rp->ic", table.values, table.projected_solid_angles)
         target = table.row_albedo - table.specular
         # where the albedo is not that of the cells, scaling to it would not restore them
@@ -160,8 +158,8 @@ class Frame:
         if self.target is not None:
             total = np.einsum("irpc,rp->ic", values, areas)
             factor = np.divide(self.target, total, out=np.ones_like(total), where=total != 0)
-            # of values of both signs the sum may cancel: then there is nothing to scale
-            factor[(factor < 0) | ((factor > 2) if self.codes is None else False)] = 1.0
+            # of values of both signs the sum may cancel: scaling to it would do harm
+            factor[(np.abs(factor - 1) > _NEAR) if self.codes is None else (factor < 0)] = 1.0
             values *= factor[:, None, None]
         return values
 
@@ -174,12 +172,9 @@ Prepare = Callable[[Frame], Callable[[float], Array]]
 
 
 def hold(
-    table: Table, bounds: Array, prepare: Prepare, rounds: int, base: Array | None = None
+    table: Table, bounds: Array, prepare: Prepare, quick: bool = False, base: Array | None = None
 ) -> tuple[Frame, float]:
     """Find the coarsest step whose approximation holds the bounds of all rows.
-
-    Rows that come out better than they must are allowed more and the search is repeated, so that in the
-    end most rows are about as wrong as they may be.
 
     Parameters
     ----------
@@ -188,8 +183,8 @@ def hold(
         Relative error allowed in each row and channel.
     prepare : callable
         From a frame to a function from a step to the values the decoder will return.
-    rounds : int
-        1 for a quick answer, some 10 % off the best.
+    quick : bool
+        Look for the step to 20 % only, enough to compare methods by.
     base : ndarray, optional
         Of the frame.
 
@@ -203,42 +198,36 @@ def hold(
     InputError
         No step holds the bounds.
     """
-    share = np.ones_like(bounds)
-    step = 0.5
-    for left in reversed(range(rounds)):
-        frame = Frame.of(table, bounds * share, base)
-        decoded = prepare(frame)
+    frame = Frame.of(table, bounds, base)
+    decoded = prepare(frame)
 
-        def worst(step: float, decoded: Callable[[float], Array] = decoded) -> Array:
-            return excess(table, decoded(step), bounds)
+    def worst(step: float) -> float:
+        return float(excess(table, decoded(step), bounds).max())
 
-        step, found = _largest(worst, step, exact=left == 0 and rounds > 1)
-        if left:
-            share *= np.clip(found, 0.25, 1.0) ** -0.8
-    return frame, step
+    return frame, _largest(worst, 0.1, 1.2 if quick else 1.02)
 
 
-def _largest(worst: Callable[[float], Array], step: float, exact: bool) -> tuple[float, Array]:
-    """The largest step found at which every row's error over its bound is at most 1, and those errors.
+def _largest(worst: Callable[[float], float], step: float, tolerance: float) -> float:
+    """The largest step found, to a factor, at which `worst`, an error over its bound, is at most 1.
 
     The error grows smoothly with the step, roughly as its power: a secant on logarithms, kept in brackets.
     """
-    low, high = 0.0, np.inf
-    best: Array = np.zeros(())
-    for trial in range(30):
-        found = worst(step)
-        error = float(found.max())
+    low, high, failures = 0.0, np.inf, 0
+    for trial in range(40):
+        error = worst(step)
         if error <= 1.0:
-            low, best = step, found
+            low, failures = step, 0
         else:
-            high = step
-        if low > 0 and (high / low < (1.02 if exact else 1.2) or trial >= _TRIALS):
-            return low, best
+            high, failures = step, failures + 1
+        if low > 0 and (high / low < tolerance or trial >= _TRIALS):
+            return low
         guess = step * (0.98 / max(error, 1e-3)) ** 0.8
-        if not low < guess < high:
-            guess = (
-                np.sqrt(low * high) if low > 0 and np.isfinite(high) else (2 * low if low > 0 else high / 4)
-            )
+        if not low < guess < high or (failures >= 2 and low > 0):
+            # against noise the error hardly depends on the step: then halve the bracket
+            if low > 0:
+                guess = np.sqrt(low * high) if np.isfinite(high) else 2 * low
+            else:
+                guess = high / 4
         step = float(guess)
     raise InputError("max_error: no step of quantisation holds it")
 

@@ -25,7 +25,7 @@ from scipy import fft, ndimage, sparse
 
 from gonio.core.directions import half_difference
 from gonio.table.compress.dct import order
-from gonio.table.compress.frame import ROUNDS, Frame, hold, shape_of
+from gonio.table.compress.frame import Frame, hold, shape_of
 from gonio.table.compress.metric import cosine_weights
 from gonio.table.compress.packing import pack_sparse, step_of, unpack_sparse
 from gonio.table.table import Table
@@ -37,7 +37,7 @@ _NODES: Sizes = (90, 46, 46)
 _ITERATIONS = 20
 
 
-def encode(table: Table, bounds: Array, rounds: int = ROUNDS) -> dict[str, Any]:
+def encode(table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
     """As `gonio.table.compress.dct.encode`."""
     fields = {name: getattr(table, name) for name in _FIELDS}
     shape = table.values.shape
@@ -58,7 +58,7 @@ def encode(table: Table, bounds: Array, rounds: int = ROUNDS) -> dict[str, Any]:
             _values(np.rint(coefficients / step) * step, weights, basis, interpolation, shape)
         )
 
-    frame, step = hold(table, bounds, prepare, rounds)
+    frame, step = hold(table, bounds, prepare, quick)
     quantised = np.rint(coefficients / step).astype(np.int64)
     used = np.flatnonzero(np.any(quantised, axis=(1, 2, 3)))
     rank = int(used[-1]) + 1 if len(used) else 1

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 _SIGMAS = 3.0
 _ROUNDING = 1e-12
-_CANCELLED = 0.1
+_DARK = 0.1
 
 
 def cosine_weights(theta_r_edges: Array, delta_phi_edges: Array) -> Array:
@@ -33,13 +33,22 @@ def row_norms(values: Array, weights: Array) -> Array:
     return np.sqrt(np.einsum("irpc,rp->ic", values**2, weights**2))
 
 
+def reference_norms(values: Array, weights: Array) -> Array:
+    """What errors are relative to, shape (I, C): a channel's norm, or a tenth of the row's brightest channel's.
+
+    Red of a deep blue, on the edge of the gamut or beyond, is the small difference of large numbers.
+    """
+    norms = row_norms(values, weights)
+    return np.maximum(norms, _DARK * norms.max(axis=1, keepdims=True))
+
+
 def row_errors(table: Table, values: Array) -> Array:
     """Relative, cosine-weighted RMS difference of `values` from the table's, per row and channel.
 
     0 where a row is dark in both, infinite where it is dark in the table only.
     """
     weights = cosine_weights(table.theta_r_edges, table.delta_phi_edges)
-    norms, errors = row_norms(table.values, weights), row_norms(values - table.values, weights)
+    norms, errors = reference_norms(table.values, weights), row_norms(values - table.values, weights)
     unbounded = np.where(errors > 0, np.inf, 0.0)
     return np.divide(errors, norms, out=unbounded, where=norms > 0)
 
@@ -68,11 +77,12 @@ def albedo_errors(table: Table, values: Array) -> Array:
     areas = table.projected_solid_angles
     total = np.einsum("irpc,rp->ic", table.values, areas)
     difference = np.abs(np.einsum("irpc,rp->ic", values - table.values, areas))
-    # of colours outside the gamut a channel may cancel: relative to what is there of either sign
+    # a channel on the edge of the gamut may cancel: as of the norms, a tenth of what is there counts
     size = np.einsum("irpc,rp->ic", np.abs(table.values), areas)
-    difference[difference <= _ROUNDING * size] = 0.0
+    reference = np.maximum(np.abs(total), _DARK * size.max(axis=1, keepdims=True))
+    difference[difference <= _ROUNDING * reference] = 0.0
     unbounded = np.where(difference > 0, np.inf, 0.0)
-    return np.divide(difference, np.maximum(np.abs(total), _CANCELLED * size), out=unbounded, where=size > 0)
+    return np.divide(difference, reference, out=unbounded, where=reference > 0)
 
 
 def excess(table: Table, values: Array, bounds: Array) -> Array:
@@ -85,7 +95,7 @@ def _noise(table: Table) -> tuple[Array, Array]:
     if table.std_error is None:
         return np.zeros(table.row_albedo.shape), np.zeros(table.row_albedo.shape)
     weights = cosine_weights(table.theta_r_edges, table.delta_phi_edges)
-    norms = row_norms(table.values, weights)
+    norms = reference_norms(table.values, weights)
     variance = (np.where(table.values > 0, table.std_error, 0.0) * weights[:, :, None]) ** 2
     total = variance.sum(axis=(1, 2))
     noise = np.divide(np.sqrt(total), norms, out=np.zeros_like(norms), where=norms > 0)

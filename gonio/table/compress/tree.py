@@ -23,7 +23,7 @@ from scipy import fft
 
 from gonio.core.jit import kernel
 from gonio.table.compress.dct import order
-from gonio.table.compress.frame import ROUNDS, Frame, hold, shape_of
+from gonio.table.compress.frame import Frame, hold, shape_of
 from gonio.table.compress.packing import pack_sparse, step_of, unpack_sparse
 from gonio.table.table import Table
 
@@ -45,7 +45,7 @@ class Level(NamedTuple):
     """(blocks along i, r, phi, cells of a block x channels), in order of frequency."""
 
 
-def encode(table: Table, bounds: Array, rounds: int = ROUNDS, base: Array | None = None) -> dict[str, Any]:
+def encode(table: Table, bounds: Array, quick: bool = False, base: Array | None = None) -> dict[str, Any]:
     """As `gonio.table.compress.dct.encode`; of the values less `base`, where it is given."""
     shape = table.values.shape
 
@@ -53,7 +53,7 @@ def encode(table: Table, bounds: Array, rounds: int = ROUNDS, base: Array | None
         levels = _levels(frame.normalise(table.values))
         return lambda step: frame.restore(_assemble(shape, *_choose(levels, step), step))
 
-    frame, step = hold(table, bounds, prepare, rounds, base)
+    frame, step = hold(table, bounds, prepare, quick, base)
     leaves, splits = _choose(_levels(frame.normalise(table.values)), step)
     stream = np.concatenate([leaf.T.ravel() for leaf in leaves])
     flags = np.packbits(np.concatenate([np.zeros(0, bool), *splits]))
