@@ -148,6 +148,7 @@ def convert(source: Path, target: Path, part: str | None) -> None:
       .csv, .npz   cells with error bars
     In only:
       .astm        ASTM E1392
+      .csv         the plane of incidence (Incident_angle, Measure_angle, wavelengths)
       .brdf, .anisotropicbsdf  SPEOS
       .bsdf        LightTools
       .xompt       OpenMATERIAL 3D

@@ -166,7 +166,7 @@ def test_noise_map_where_nothing_is():
     lit = np.sin(np.radians(20)) ** 2 / np.sin(np.radians(45)) ** 2
     assert noise[1, 0] == pytest.approx(0.1 / np.sqrt(lit))
     assert check(dark).to_json()["checks"]["noise"]["map"][0][0] is None
-    assert noise_lines(dark)[2].split()[:3] == ["50", "10", "10"]
+    assert noise_lines(dark)[2].split()[:3] == ["40", "10", "10"]
 
 
 def test_energy_counts_what_is_transmitted():
