@@ -14,6 +14,7 @@ from scipy import stats
 
 from gonio.table.checks.reciprocity import check_reciprocity
 from gonio.table.checks.report import Check, CheckReport
+from gonio.table.checks.resolution import check_resolution
 from gonio.table.parts import TRANSMISSION, orders_of
 from gonio.table.table import Table
 from gonio.validation import FALSE_ALARM, sidak
@@ -36,7 +37,7 @@ def check(table: Table) -> CheckReport:
     Returns
     -------
     CheckReport
-        Of reciprocity, energy, albedo against cells, parts, positivity, noise and ledger.
+        Of reciprocity, energy, albedo against cells, parts, positivity, noise, resolution and ledger.
     """
     checks = [*check_reciprocity(table), _energy(table), _consistency(table)]
     transmission = table.parts.get(TRANSMISSION)
@@ -45,7 +46,7 @@ def check(table: Table) -> CheckReport:
     for name, whole in (("the table", table), (TRANSMISSION, transmission)):
         if whole is not None and orders_of(whole):
             checks.append(_orders(whole, name))
-    return CheckReport((*checks, _positivity(table), _noise(table), _ledger(table)))
+    return CheckReport((*checks, _positivity(table), _noise(table), check_resolution(table), _ledger(table)))
 
 
 def _limit(n: int) -> float:
