@@ -8,9 +8,10 @@ import h5py
 import numpy as np
 import pytest
 
+from gonio.formats import hdf5
 from gonio.table.checks import check
 from gonio.table.compress import METHODS, compress, cosine_weights, row_bounds, row_errors, row_noise
-from gonio.table.compress.metric import albedo_errors
+from gonio.table.compress.metric import albedo_errors, excess
 from gonio.table.parts import walk
 from gonio.table.table import Table
 from gonio.validation import seed_from
@@ -284,8 +285,9 @@ def test_a_part_that_the_chosen_method_cannot_hold_falls_back(tmp_path, monkeypa
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_constant_table_of_full_size(tmp_path, method):
-    """Content may be a thousandth of what it decodes to; reading must not take that for damage."""
+def test_content_that_shrinks_to_nothing(tmp_path, method, monkeypatch):
+    """A codec may need less than a thousandth of what it decodes to; reading must not take that for damage."""
+    monkeypatch.setattr(hdf5, "_MAX_RATIO", 5)  # for tables hundreds of times as large
     table = make(lambert, grid(45, 60, 90))
     report = compress(table, tmp_path / "c.h5", method=method)
     assert report.error_worst <= 0.01
@@ -312,6 +314,21 @@ def test_albedo_is_held_where_it_is_not_that_of_the_cells(tmp_path):
         decoded = Table.load(tmp_path / "c.h5")
         assert 0 < albedo_errors(table, decoded.values).max() <= 0.01
         np.testing.assert_array_equal(decoded.row_albedo, table.row_albedo)
+
+
+def test_excess_is_the_larger_of_brdf_and_albedo():
+    """A veil under a peak: 1 % of the peak's norm, but several of its albedo."""
+    table = make(ggx(0.05, 0.9), EDGES, tint=(1.0,), cell_points=2)
+    bounds = np.full(table.row_albedo.shape, 0.01)
+    veiled = table.values + 0.05
+    assert np.all(albedo_errors(table, veiled)[:10] > 1.5 * row_errors(table, veiled)[:10])
+    np.testing.assert_allclose(excess(table, veiled, bounds)[:10], 100 * albedo_errors(table, veiled)[:10])
+    sign = np.where(np.arange(45) % 2, 1.0, -1.0)[:44, None]
+    balanced = table.values.copy()
+    balanced[:, :, :44] *= 1 + 0.02 * sign
+    np.testing.assert_allclose(
+        excess(table, balanced, bounds)[:10], 100 * row_errors(table, balanced)[:10], rtol=1e-12
+    )
 
 
 def test_albedo_errors_are_relative_and_see_cancellation():

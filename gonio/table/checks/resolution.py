@@ -57,7 +57,7 @@ def narrow_rows(table: Table) -> NDArray[np.bool_]:
     for row, (line, sigma) in enumerate(zip(values, error, strict=True)):
         near = np.arange(max(0, mirror[row] - _NEAR), min(rings, mirror[row] + _NEAR + 1))
         peak = int(near[np.argmax(line[near])])
-        if line[peak] <= 0 or line[peak] < line.max():
+        if line[peak] <= 0:
             continue
         sides = [ring for ring in (peak - 2, peak + 2) if 0 <= ring < rings]
         drops = [
