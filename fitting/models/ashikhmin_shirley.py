@@ -64,6 +64,15 @@ def terms(variant, p, wi, wo):
 
 
 @kernel(allocates=False)
+def slopes(p, wi, wo, values, out):
+    """Derivatives by the exponent of the isotropic lobe; see `fitting.models.contract`."""
+    wh = half_vector(wi, wo)
+    sin2 = wh[0] * wh[0] + wh[1] * wh[1]
+    log = 1.0 / (p[SHAPE] + 1.0) + (0.5 * math.log1p(-sin2) if sin2 < 1.0 else 0.0)
+    out[0], out[1] = values[0] * log, values[1] * log
+
+
+@kernel(allocates=False)
 def sample(variant, p, wi, u0, u1):
     """Reflection off a half vector drawn by its density (eq. 6 to 9); may point below the horizon."""
     n_u, n_v = _exponents(variant, p)

@@ -12,6 +12,9 @@ to the detector, tuples of unit length), f_r in 1/sr without cosine:
 
 - ``terms(p, wi, wo) -> (t0, t1)``: the terms, t1 = 0 where there is one only. Only called with both
   directions strictly above the horizon.
+- ``slopes(p, wi, wo, values, out)``: derivatives of the terms by the shape parameters, for fits, where there
+  are any and the lobe is isotropic; `values` are the terms, and out[2 j + t] is of term t by parameter j.
+  Written by hand; a test holds them to differences of `terms`.
 - ``sample(p, wi, u0, u1) -> wo``: a direction drawn for light from `wi` (above the horizon). It may fall
   below the horizon, where the lobe is 0: such a sample is discarded.
 - ``pdf(p, wi, wo)``: the density of `sample`, 1/sr, for `wo` on the whole sphere, where it integrates to 1.
@@ -67,6 +70,12 @@ class Parameter:
         if self.scale == "log":
             return self.lower * (self.upper / self.lower) ** u
         return self.lower + u * (self.upper - self.lower)
+
+    def slope(self, u: float) -> float:
+        """Derivative of `from_unit`."""
+        if self.scale == "log":
+            return self.from_unit(u) * math.log(self.upper / self.lower)
+        return self.upper - self.lower
 
     def to_unit(self, value: float) -> float:
         """Inverse of `from_unit`."""
@@ -166,6 +175,24 @@ class Lobe:
             derived = self.derive(*p[SHAPE : SHAPE + len(self.parameters)])
             p[DERIVED : DERIVED + len(derived)] = derived
         return p
+
+    def tangents(self, values: Sequence[float]) -> NDArray[np.float64]:
+        """Derivatives of what `pack` returns by the parameters, shape (parameters, SIZE).
+
+        What `derive` makes is smooth: central differences of it are good to 1e-7.
+        """
+        out = np.zeros((len(self.parameters), SIZE))
+        for j, (parameter, value) in enumerate(zip(self.parameters, values, strict=True)):
+            out[j, SHAPE + j] = 1.0
+            if self.derive is None:
+                continue
+            step = 1e-5 * (value if parameter.scale == "log" else parameter.upper - parameter.lower)
+            ends = [np.array(values), np.array(values)]
+            ends[0][j] = min(parameter.upper, value + step)
+            ends[1][j] = max(parameter.lower, value - step)
+            change = self.derive(*ends[0]) - self.derive(*ends[1])
+            out[j, DERIVED : DERIVED + len(change)] = change / (ends[0][j] - ends[1][j])
+        return out
 
 
 @dataclass(frozen=True)
