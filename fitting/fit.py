@@ -15,7 +15,7 @@ from fitting.objectives import default_objective, find_objective
 from fitting.problem import Point, Problem
 from fitting.result import Fit, FittedLobe, versions
 from fitting.samples import Samples
-from fitting.search import Budget, coarse, descend, search
+from fitting.search import Budget, descend, explore
 from fitting.tabulate import albedo_check, reciprocity_check
 from gonio.progress import Report
 from gonio.table.table import Table
@@ -76,10 +76,7 @@ def fit(
     measured = find_objective(samples, name)
     budget = Budget(began + max_seconds, progress=progress)
 
-    rough = coarse(chosen.lobes, samples, measured)
-    start = np.random.default_rng(seed).random(len(rough.parameters))
-    point = search(rough, start, budget, seed, (0.0, 0.4))
-    point = descend(rough, point, budget, (0.4, 0.5))
+    point = explore(chosen.lobes, samples, measured, budget, seed)
     final = Problem(chosen.lobes, samples, measured, np.zeros(len(samples.cells), np.int8))
     refine(final, point.x, point.coefficients)
     point = descend(final, final.evaluate(point.x, point.coefficients), budget, (0.5, 1.0))
@@ -98,7 +95,7 @@ def fit(
         goodness=goodness(seen, samples.values.size, final.size, isinstance(data, Table)),
         criterion=criterion(name, seen.metrics, samples.values.size, final),
         confidence=None if certain is None else describe(final, point, certain),
-        evaluations=rough.evaluations + final.evaluations,
+        evaluations=budget.evaluations + final.evaluations,
         cells_used=len(samples.cells),
         cells_left_out=samples.left_out,
         theta_limit_deg=samples.theta_limit_deg,

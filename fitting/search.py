@@ -23,16 +23,21 @@ _GLOBAL_EVALUATIONS = 30  # and as many again per shape parameter
 _LOCAL_EVALUATIONS = 25
 _PERFECT = 1e-20  # of the objective of a model that is 0: nothing left to find elsewhere
 _STEPS = 60
+_APART = 0.1  # in a shape parameter: not in one valley, it may be
+_PLACES = (0.25, 0.5, 0.75)  # of a new lobe's parameters in their range
+_OPTICS = 10  # other starts
 _MOVED = 1e-7  # of the range of a shape parameter: close enough
 _GAIN = 1e-3  # of a degree of freedom's share of the objective: a thirtieth of a standard error
 _DAMPING = 1e-3  # when a step has failed first
+_MOST_DAMPING = 1e8
 
 
 @dataclass(eq=False)
 class Budget:
-    """Seconds left, and what is told about them."""
+    """Seconds left, looks at the cells so far, and what is told about them."""
 
     deadline: float
+    evaluations: int = 0
     progress: Callable[[float, str], None] | None = None
 
     def seconds(self) -> float:
@@ -70,7 +75,74 @@ def coarse(
     return Problem(lobes, samples, objective, levels)
 
 
-def search(problem: Problem, start: Array, budget: Budget, seed: int, span: tuple[float, float]) -> Point:
+def explore(
+    lobes: tuple[Lobe, ...], samples: Samples, objective: Objective, budget: Budget, seed: int
+) -> Point:
+    """Find where the minimum is, on a few thousand cells.
+
+    Where a lobe stands several times, its copies are added one at a time, and the search with one more also
+    starts from what was found without it: more lobes never fit worse.
+    """
+    copies = max((lobes.count(lobe) for lobe in lobes if lobe.parameters), default=1)
+    point: Point | None = None
+    chosen: list[int] = []
+    for count in range(1, copies + 1):
+        before = chosen
+        chosen = [n for n, lobe in enumerate(lobes) if lobes[:n].count(lobe) < count]
+        problem = coarse(tuple(lobes[n] for n in chosen), samples, objective)
+        start = np.random.default_rng(seed).random(len(problem.parameters))
+        span = (0.5 * (count - 1) / copies, 0.5 * count / copies)
+        starts = search(problem, start, budget, seed, span)
+        if point is not None:
+            starts += _extended(problem, chosen, before, point)
+        starts += _other_optics(problem, starts[0])
+        found: list[Point] = []
+        for begin in starts:
+            found.append(descend(problem, begin, budget, (span[1], span[1])))
+            if found[-1].value < _PERFECT:
+                break
+        point = min(found, key=lambda p: p.value)
+        budget.evaluations += problem.evaluations
+    assert point is not None
+    return point
+
+
+def _extended(problem: Problem, chosen: list[int], before: list[int], point: Point) -> list[Point]:
+    """A point of fewer lobes with new ones beside them, wide, medium and narrow."""
+    out = []
+    for place in _PLACES:
+        known = iter(point.x)
+        x = [
+            next(known) if chosen[lobe] in before else place
+            for lobe, _ in problem.parameters
+        ]  # fmt: skip
+        rows = iter(point.coefficients)
+        coefficients = [
+            next(rows) if chosen[lobe] in before else np.zeros(problem.channels)
+            for lobe, _ in problem.coefficients.names
+        ]
+        out.append(problem.evaluate(np.array(x), np.stack(coefficients)))
+    return out
+
+
+def _other_optics(problem: Problem, point: Point) -> list[Point]:
+    """A point with its optical parameters elsewhere, if there are several, by a low-discrepancy sequence."""
+    optical = [n for n, (_, q) in enumerate(problem.parameters) if q.optical]
+    if len(optical) < 2:
+        return []
+    # Kronecker's sequence of the square roots of primes
+    ratios = np.sqrt(np.array([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0, 23.0, 29.0]))
+    out = []
+    for n in range(1, _OPTICS + 1):
+        x = point.x.copy()
+        x[optical] = n * np.resize(ratios, len(optical)) % 1.0
+        out.append(problem.reduced(x, None))
+    return out
+
+
+def search(
+    problem: Problem, start: Array, budget: Budget, seed: int, span: tuple[float, float]
+) -> list[Point]:
     """Minimise over the whole range of the shape parameters, the coefficients being the best for each.
 
     nlopt's multi-level single linkage: local searches, sequential quadratic programming with the gradient,
@@ -78,12 +150,12 @@ def search(problem: Problem, start: Array, budget: Budget, seed: int, span: tupl
 
     Returns
     -------
-    Point
-        The best met, also where time ran out.
+    list of Point
+        The best met, and the best of those that lie apart from it and from each other; also where time ran out.
     """
     dimensions = len(start)
     if dimensions == 0:
-        return problem.reduced(start, None)
+        return [problem.reduced(start, None)]
     most = _GLOBAL_EVALUATIONS * (1 + dimensions)
     found: list[Point] = []
     count = 0
@@ -94,10 +166,9 @@ def search(problem: Problem, start: Array, budget: Budget, seed: int, span: tupl
         point = problem.reduced(np.array(x), None)
         if gradient.size:
             gradient[:] = -2.0 * problem.equations(point)[1][:dimensions]
-        if np.isfinite(point.value) and (not found or point.value < found[0].value):
-            found[:] = [point]
-        if found:
-            budget.tell(span[0] + (span[1] - span[0]) * count / most, found[0])
+        if np.isfinite(point.value):
+            found.append(point)
+            budget.tell(span[0] + (span[1] - span[0]) * count / most, point)
         if point.value < _PERFECT or budget.late:
             optimizer.force_stop()
         return point.value if np.isfinite(point.value) else 1e30
@@ -118,7 +189,13 @@ def search(problem: Problem, start: Array, budget: Budget, seed: int, span: tupl
     # nlopt reports an end at rounding errors as an exception; the best point met stands
     with suppress(nlopt.RoundoffLimited, nlopt.ForcedStop, RuntimeError):
         optimizer.optimize(start)
-    return found[0] if found else problem.reduced(start, None)
+    apart: list[Point] = []
+    for point in sorted(found, key=lambda p: p.value):
+        if all(np.abs(point.x - other.x).max() > _APART for other in apart):
+            apart.append(point)
+        if len(apart) == dimensions:
+            break
+    return apart or [problem.reduced(start, None)]
 
 
 def descend(problem: Problem, start: Point, budget: Budget, span: tuple[float, float]) -> Point:
@@ -152,14 +229,12 @@ def descend(problem: Problem, start: Point, budget: Budget, span: tuple[float, f
         step = bounded_step(problem, point, matrix, right, damping)
         gain = float(2.0 * step @ right - step @ matrix @ step)
         small = np.abs(step[:d]).max(initial=0.0) < _MOVED and damping == 0.0
-        if (gain < _GAIN * point.value / freedom and small) or not gain > 1e-28:
+        if (abs(gain) < _GAIN * point.value / freedom and small) or damping > _MOST_DAMPING:
             break
-        trial = problem.evaluate(*problem.moved(point, step))
+        trial = problem.evaluate(*problem.moved(point, step)) if gain > 0.0 else point
         if trial.value < point.value:
             rewarded = point.value - trial.value > 0.1 * gain
             point, damping = trial, (0.0 if rewarded and damping <= _DAMPING else 0.1 * damping)
-        elif damping > 1e6:
-            break
         else:
             damping = max(_DAMPING, 10.0 * damping)
     budget.tell(span[1], point)

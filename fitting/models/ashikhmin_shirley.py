@@ -43,6 +43,7 @@ DIFFUSE = Lobe(
     parameters=(),
     terms=(Term("rd"),),
     source=_SOURCE + "5; rd stands for R_d (1 - R_s)",
+    diffuse=True,
 )
 
 

@@ -56,13 +56,18 @@ VARIANTS = 64
 
 @dataclass(frozen=True)
 class Parameter:
-    """One shape parameter: its range, what the search steps in, and what it means."""
+    """One shape parameter: its range, what the search steps in, and what it means.
+
+    An `optical` one, an index or a depth, does not make a lobe wider or narrower but changes it a little
+    everywhere; two of them may trade against each other, so the search starts from more places.
+    """
 
     name: str
     lower: float
     upper: float
     scale: Literal["linear", "log"]
     meaning: str
+    optical: bool = False
 
     def from_unit(self, u: float) -> float:
         """The value at `u` in [0, 1] of the range, linear or logarithmic."""
@@ -142,6 +147,8 @@ class Lobe:
     isotropic : bool
         Whether only the difference of the azimuths matters. An anisotropic lobe's x axis is the direction
         along the surface that its parameters name; a table of an isotropic surface cannot tell them.
+    diffuse : bool
+        Whether it is spread over all directions, so that a sum of several of them is of no use.
     transmits : bool
         Whether light goes through, with `wi` and `wo` on different sides.
     derive : callable, optional
@@ -155,6 +162,7 @@ class Lobe:
     source: str
     errata: str = ""
     isotropic: bool = True
+    diffuse: bool = False
     transmits: bool = False
     derive: Callable[..., NDArray[np.float64]] | None = None
 

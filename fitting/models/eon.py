@@ -36,6 +36,7 @@ LOBE = Lobe(
         "arXiv 2410.18026, 2024, listing 1"
     ),
     errata="The exact directional albedo is used, not the paper's fit to it.",
+    diffuse=True,
 )
 
 

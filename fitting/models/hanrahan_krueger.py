@@ -22,9 +22,9 @@ LOBE = Lobe(
     name="hanrahan_krueger",
     kind=VARIANTS * FAMILY,
     parameters=(
-        Parameter("tau", 1e-3, 100.0, "log", "optical depth of the layer; 10 is as good as infinite"),
-        Parameter("g", -0.95, 0.95, "linear", "mean cosine of scattering; above 0 is forward"),
-        Parameter("eta", 1.0, 2.5, "linear", "index of the layer relative to that above; 1 is matched"),
+        Parameter("tau", 1e-3, 100.0, "log", "optical depth of the layer; 10 is as good as infinite", True),
+        Parameter("g", -0.95, 0.95, "linear", "mean cosine of scattering; above 0 is forward", True),
+        Parameter("eta", 1.0, 2.5, "linear", "index of the layer relative to that above; 1 is matched", True),
     ),
     terms=(Term("albedo"), Term("base")),
     source=(
@@ -35,6 +35,7 @@ LOBE = Lobe(
         "The paper's T12 and T21 hold n^2 and 1/n^2, which cancel only before the incident radiance is "
         "written as irradiance: a BRDF keeps 1/n^2. Light reflected inside at the interface is not followed."
     ),
+    diffuse=True,
 )
 
 

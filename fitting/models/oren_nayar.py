@@ -33,6 +33,7 @@ FULL = Lobe(
         "directions graze on opposite sides of a rough surface (sigma = 1, 80 degrees): cut off at 0. "
         "The fitted constants create energy near grazing above rho = 0.97."
     ),
+    diffuse=True,
 )
 QUALITATIVE = Lobe(
     name="oren_nayar_qualitative",
@@ -45,6 +46,7 @@ QUALITATIVE = Lobe(
         "normal incidence. At sigma = 0.2 it creates 1.5 % at grazing. The paper's footnote replaces 0.33 by "
         "0.57 to make up for some of the loss; 0.33 is used."
     ),
+    diffuse=True,
 )
 
 
