@@ -16,13 +16,14 @@ from fitting.moments import (
     average,
     touching,
 )
-from fitting.problem import Point, Problem
+from fitting.problem import Point, Problem, solve_scaled
 from gonio.core.jit import kernel
 from gonio.core.parallel import for_each
 
 Array = NDArray[np.float64]
 
 _CHUNKS = 32
+_LEAST = 0.05  # of 1 - leverage
 _ENOUGH = 150_000  # cells for a covariance
 _NGAN, _NORM, _LOW, _NBRDF, _CUBE, _CHI2, _SPREAD, _BOUND, _PAIRS, _PAIRS2 = range(10)
 
@@ -45,8 +46,9 @@ class Account:
     bread : ndarray, shape (C, V, V)
         Half of the second derivatives of the objective, in terms of the vector v of `fitting.moments`.
     scores : ndarray, shape (C, C, V, V)
-        Sums over cells of s_c s_c' v v', s = w r: the scatter of its first derivatives. Both are estimated from
-        one cell in several where there are very many.
+        Sums over cells of s_c s_c' v v', s = w r/(1 - h) with the leverage h of the value, by which its own pull
+        on the fit makes its residual small (HC3, MacKinnon and White 1985): the scatter of its first
+        derivatives. Both are estimated from one cell in several where there are very many.
     """
 
     metrics: dict[str, float]
@@ -70,6 +72,7 @@ def account(problem: Problem, point: Point) -> Account:
     sums = np.zeros((chunks, 10))
     bread = np.zeros((chunks, channels, size, size))
     scores = np.zeros((chunks, channels, channels, size, size))
+    leverage = _leverage(problem, point) / problem.norm
     variance = np.empty((0, channels)) if samples.variance is None else samples.variance
 
     def task(chunk: int) -> None:
@@ -90,6 +93,7 @@ def account(problem: Problem, point: Point) -> Account:
             objective.difference,
             objective.scale,
             stride,
+            leverage,
             sums[chunk],
             bread[chunk],
             scores[chunk],
@@ -116,6 +120,18 @@ def account(problem: Problem, point: Point) -> Account:
     )
 
 
+def _leverage(problem: Problem, point: Point) -> Array:
+    """Matrices K of every channel, shape (C, V, V): the leverage of a value is w v K v, times the norm."""
+    matrix, _ = problem.equations(point)
+    inverse = np.stack([solve_scaled(matrix, unit, 0.0) for unit in np.eye(problem.size)])
+    d, j, channels = len(problem.parameters), len(problem.coefficients.names), problem.channels
+    out = []
+    for c, rule in enumerate(problem.maps(point)):
+        places = np.concatenate([np.arange(d), d + np.arange(j) * channels + c])
+        out.append(rule.T @ inverse[np.ix_(places, places)] @ rule)
+    return np.array(out)
+
+
 def _symmetric(lower: Array) -> Array:
     """From lower triangles, also over pairs of channels."""
     out = lower + np.swapaxes(np.tril(lower, -1), -1, -2)
@@ -129,7 +145,7 @@ def _symmetric(lower: Array) -> Array:
 @kernel
 def _account(
     kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells, levels, values, weights, cos_i,
-    sin_i, sin_o, variance, factors, difference, scale, stride, sums, bread, scores,
+    sin_i, sin_o, variance, factors, difference, scale, stride, leverage, sums, bread, scores,
 ):  # fmt: skip
     size, terms, channels = bread.shape[1], factors.shape[0], values.shape[1]
     v, scratch, score = np.empty(size), np.empty(2 * tangents.shape[1]), np.empty(channels)
@@ -178,7 +194,11 @@ def _account(
                 _, w, r = touching(difference, scale, y, model, cos_i[n], w)
             if not sampled:
                 continue
-            score[channel] = w * r
+            pull = 0.0
+            for j in range(size):
+                for k in range(size):
+                    pull += v[j] * leverage[channel, j, k] * v[k]
+            score[channel] = w * r / max(_LEAST, 1.0 - w * pull)
             if difference == ABSOLUTE_LOG:  # the rounded modulus' own curvature, not its bound
                 w *= scale * scale / (log * log + scale * scale)
             for j in range(size):

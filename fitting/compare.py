@@ -10,15 +10,13 @@ from typing import Any, Literal
 
 from fitting.fit import fit
 from fitting.models import MODELS, Model, find_model
-from fitting.result import Fit
+from fitting.result import SEVERAL, Fit
 from fitting.samples import Samples
 from gonio.files import atomic
 from gonio.progress import Report
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
-SCHEMA = "gonio-fits/1"
-"""Name and major version of the JSON file of several fits."""
 MOST_LOBES = 4
 """Where the automatic choice stops at the latest."""
 
@@ -121,5 +119,8 @@ def save_fits(fits: Mapping[str, Sequence[Fit]], path: str | os.PathLike[str]) -
 
 def dumps(fits: Mapping[str, Sequence[Fit]], indent: int | None = None) -> str:
     """Fits of several tables as text: {"schema": ..., "tables": {name: [fit, ...]}}, the best first."""
-    content = {"schema": SCHEMA, "tables": {name: [f.to_json() for f in each] for name, each in fits.items()}}
+    content = {
+        "schema": SEVERAL,
+        "tables": {name: [f.to_json() for f in each] for name, each in fits.items()},
+    }
     return json.dumps(content, indent=indent, allow_nan=False)

@@ -77,9 +77,7 @@ def confidence(problem: Problem, point: Point, seen: Account) -> Confidence | No
     if free.any():
         half = matrix[np.ix_(free, free)]
         inverse = np.stack([solve_scaled(half, unit, 0.0) for unit in np.eye(int(free.sum()))])
-        # as many values as unknowns have no scatter left
-        inflation = values / (values - size)
-        covariance[np.ix_(free, free)] = inflation * inverse @ scatter[np.ix_(free, free)] @ inverse
+        covariance[np.ix_(free, free)] = inverse @ scatter[np.ix_(free, free)] @ inverse
     quantile = float(stats.t.ppf(0.5 + 0.5 * LEVEL, values - size))
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):

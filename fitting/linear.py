@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
@@ -18,7 +17,7 @@ from fitting.models import SHAPE, Lobe
 
 Array = NDArray[np.float64]
 
-_SWEEPS = 500
+_HALVINGS = 8
 _STEPS = 20
 _NULL = 1e-14  # of the largest eigenvalue: directions that change nothing
 
@@ -102,9 +101,15 @@ class Coefficients:
             if np.all(start + step >= 0.0):  # the residual's own digits are kept
                 return start + step
             return _nonnegative(gram, right + gram @ at_start)
-        whole = right + gram @ at_start
-        if not start.any():
-            start = self._coupled(gram, whole, back)
+        if not start.any():  # begin with what enters linearly
+            first = np.flatnonzero(self.power == 1)
+            start = np.zeros(len(self.names))
+            start[self.owner[first]] = _nonnegative(
+                gram[np.ix_(first, first)], (right + gram @ at_start)[first]
+            )
+            start = np.minimum(
+                start, 0.9 / np.maximum(back.max(), 0.9)
+            )  # where a series of bounces has a sum
         return self._newton(gram, right, at_start, start, back)
 
     def _newton(self, gram: Array, right: Array, at_start: Array, c: Array, back: Array) -> Array:
@@ -125,10 +130,13 @@ class Coefficients:
             step[free] = _least_squares(
                 (slopes.T @ gram @ slopes)[np.ix_(free, free)], (slopes.T @ left)[free]
             )
-            following = np.maximum(0.0, c + step)
-            with np.errstate(divide="ignore"):
+            for _ in range(_HALVINGS):
+                following = np.maximum(0.0, c + step)
                 allowed = np.all(back * following[self.owner] < 1.0)
-            after = value(following) if allowed else np.inf
+                after = value(following) if allowed else np.inf
+                if after < best:
+                    break
+                step = 0.25 * step
             if not after < best:
                 break
             done = np.allclose(following, c, rtol=1e-13, atol=0.0)
@@ -136,46 +144,6 @@ class Coefficients:
             if done:
                 break
         return c
-
-    def _coupled(self, gram: Array, right: Array, back: Array) -> Array:
-        """One coefficient at a time, until none moves: the best of each is a root of a polynomial."""
-        c = np.zeros(len(self.names))
-        for _ in range(_SWEEPS):
-            before = c.copy()
-            for j in range(len(c)):
-                own = np.flatnonzero(self.owner == j)
-                f = self.factors(c, back)
-                f[own] = 0.0
-                pull = right[own] - gram[own] @ f
-                c[j] = _best(gram[np.ix_(own, own)], pull, self.power[own], float(back[own].max()))
-            if np.allclose(c, before, rtol=1e-6, atol=0.0):
-                break
-        return c
-
-
-def _best(gram: Array, right: Array, power: NDArray[np.int64], back: float) -> float:
-    """Minimum of f G f - 2 f r over x >= 0, where f is x^power, the squared ones over 1 - back x.
-
-    With x = t/(1 + back t) every f is t^power/(1 + back t), and what is minimised is
-    squares/(1 + back t)^2 - 2 products/(1 + back t), two polynomials. Its minimum is 0 or a root of a third.
-    """
-    if len(power) == 1 and power[0] == 1:
-        return max(0.0, float(right[0] / gram[0, 0])) if gram[0, 0] > 0.0 else 0.0
-    powers = [Polynomial([0.0] * m + [1.0]) for m in power]
-    products = sum((r * t for r, t in zip(right, powers, strict=True)), Polynomial([0.0]))
-    squares = Polynomial([0.0])
-    for row, t in zip(gram, powers, strict=True):
-        squares += sum((g * t * other for g, other in zip(row, powers, strict=True)), Polynomial([0.0]))
-    one = Polynomial([1.0, back])
-    slope = squares.deriv() * one - 2.0 * back * squares
-    slope -= 2.0 * one * (products.deriv() * one - back * products)
-    roots = slope.roots()
-    real = roots.real[np.abs(roots.imag) < 1e-9 * (1.0 + np.abs(roots.real))]
-    t = min(
-        (t for t in [0.0, *real] if t >= 0.0),
-        key=lambda t: float(squares(t) / one(t) ** 2 - 2.0 * products(t) / one(t)),
-    )
-    return t / (1.0 + back * t)
 
 
 def _scaled(gram: Array) -> tuple[NDArray[np.bool_], Array, Array, Array]:

@@ -26,6 +26,10 @@ SCHEMA = "gonio-fit/1"
 """Name and major version of the JSON file; a reader refuses another major version."""
 
 
+SEVERAL = "gonio-fits/1"
+"""The same of a file of several fits, see `fitting.compare`."""
+
+
 class Terms(NamedTuple):
     """A model as the kernels take it: f_r of channel c = sum over k of weights[k, c] x lobe k.
 
@@ -205,6 +209,13 @@ def versions() -> dict[str, str]:
 
 def _from_json(content: Any) -> Fit:
     _is(content, dict, "content", "an object with the keys model and lobes")
+    if content.get("schema") == SEVERAL:
+        tables = _is(content.get("tables"), dict, "tables", "an object")
+        if len(tables) != 1 or not all(isinstance(fits, list) and fits for fits in tables.values()):
+            raise InputError(
+                f"tables: fits of {len(tables)} tables; those of one are expected, the first is taken"
+            )
+        return _from_json(next(iter(tables.values()))[0])
     allowed = ["schema", *(f.name for f in dataclasses.fields(Fit))]
     _known(content, allowed, "key")
     schema = content.get("schema", SCHEMA)

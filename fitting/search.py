@@ -19,6 +19,7 @@ from fitting.samples import Samples
 Array = NDArray[np.float64]
 
 COARSE_CELLS = 6000
+_FINE = 32  # times rarer must cells about the mirror direction be, to have 4 x 4 x 4 nodes in this stage
 _GLOBAL_EVALUATIONS = 30  # and as many again per shape parameter
 _LOCAL_EVALUATIONS = 25
 _PERFECT = 1e-20  # of the objective of a model that is 0: nothing left to find elsewhere
@@ -71,7 +72,9 @@ def coarse(
         picks = np.flatnonzero(np.diff(np.floor(np.concatenate([[0.5], 0.5 + np.cumsum(probability)]))))
         objective = replace(objective, weights=objective.weights[picks] / probability[picks, None])
         samples = samples.take(picks)
-    levels = np.where(samples.grid.near_mirror(samples.cells), 2, 0).astype(np.int8)
+    mirror = samples.grid.near_mirror(samples.cells)
+    fine = 2 if np.count_nonzero(mirror) * _FINE < len(mirror) else 1
+    levels = np.where(mirror, fine, 0).astype(np.int8)
     return Problem(lobes, samples, objective, levels)
 
 

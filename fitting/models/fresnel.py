@@ -7,7 +7,9 @@ from gonio.core.jit import kernel
 from gonio.core.optics import fresnel_conductor, fresnel_dielectric
 
 ETA = Parameter("eta", 1.01, 4.0, "linear", "index of refraction relative to that above; glass is 1.5", True)
-METAL_ETA = Parameter("eta", 0.02, 10.0, "log", "real part of the index of refraction; gold at 630 nm is 0.2", True)
+METAL_ETA = Parameter(
+    "eta", 0.02, 10.0, "log", "real part of the index of refraction; gold at 630 nm is 0.2", True
+)
 METAL_K = Parameter("k", 0.0, 12.0, "linear", "extinction coefficient; gold at 630 nm is 3.4", True)
 
 

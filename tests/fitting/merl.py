@@ -24,7 +24,9 @@ PAIRS = 30_000
 def materials(data: Path) -> list[str]:
     """Names of the 100 materials."""
     with np.load(data / "nbrdf" / "nbrdf_weights.npz") as file:
-        return sorted({key.split("|")[0].removeprefix("merl/") for key in file.files if key.startswith("merl/")})
+        return sorted(
+            {key.split("|")[0].removeprefix("merl/") for key in file.files if key.startswith("merl/")}
+        )
 
 
 def measurements(data: Path, name: str, n: int = PAIRS) -> Samples:
@@ -72,8 +74,12 @@ def main() -> None:
     models = list(next(iter(found.values())))
     print(f"{len(names)} materials, {PAIRS} pairs of directions, {time.perf_counter() - began:.0f} s")
     print(f"{'model':45s} median relative ngan_l2")
-    for model in sorted(models, key=lambda m: float(np.median([f[m]["relative_ngan_l2"] for f in found.values()]))):
-        print(f"{model:45s} {np.median([f[model]['relative_ngan_l2'] for f in found.values()]):.3f}   {np.sum([f[model]['seconds'] for f in found.values()]):.1f} s")
+    for model in sorted(
+        models, key=lambda m: float(np.median([f[m]["relative_ngan_l2"] for f in found.values()]))
+    ):
+        print(
+            f"{model:45s} {np.median([f[model]['relative_ngan_l2'] for f in found.values()]):.3f}   {np.sum([f[model]['seconds'] for f in found.values()]):.1f} s"
+        )
     if len(sys.argv) > 2 and sys.argv[2] != "-":
         Path(sys.argv[2]).write_text(json.dumps(found, indent=1))
 

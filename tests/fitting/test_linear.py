@@ -54,7 +54,7 @@ def test_identical_terms_do_not_blow_up() -> None:
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.3, 1.0])
-def test_a_squared_coefficient_is_the_root_of_a_cubic(rho: float) -> None:
+def test_a_squared_coefficient(rho: float) -> None:
     terms = np.random.default_rng(1).random((50, 2))
     solver = Coefficients(MODELS["oren_nayar"].lobes)
     c, residual = best(solver, terms, rho * terms[:, 0] + rho**2 * terms[:, 1], ANY[:1])
