@@ -78,7 +78,8 @@ def run(say: Callable[[str], None]) -> dict[str, Any]:
             out["tables"][name] = {"seconds": found.seconds, "looks": found.evaluations}
             error = found.residuals["relative_ngan_l2"]
             say(
-                f"90 x 90 x 180 cells x 3, {name}: {found.seconds:.2f} s, {found.evaluations} looks, residual {error:.1e}"
+                f"90 x 90 x 180 cells x 3, {name}: {found.seconds:.2f} s, {found.evaluations} looks, "
+                f"residual {error:.1e}"
             )
     return out
 

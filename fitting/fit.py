@@ -22,6 +22,12 @@ from gonio.table.table import Table
 from microgeometry.errors import InputError
 
 
+REJECTED = 1e-3
+"""Probability below which a fit says that the model cannot be what was measured."""
+
+_SMALLEST, _LARGEST = 1e-30, 1e30  # their squares, and those of coefficients, are still numbers
+
+
 def fit(
     data: Table | Samples,
     model: str | Model,
@@ -59,7 +65,7 @@ def fit(
     Raises
     ------
     InputError
-        Unknown model or objective, an anisotropic model, or no cell left to fit.
+        Unknown model or objective, an anisotropic model, absurd values, or no cell left to fit.
     """
     began = time.perf_counter()
     if not max_seconds > 0:
@@ -72,6 +78,11 @@ def fit(
                 "an isotropic model is needed"
             )
     samples = data if isinstance(data, Samples) else Samples.of_table(data)
+    largest = float(np.abs(samples.values).max())
+    if largest != 0.0 and not _SMALLEST < largest < _LARGEST:
+        raise InputError(
+            f"values: the largest is {largest:.3g}; from {_SMALLEST:g} to {_LARGEST:g} is allowed, a BRDF is in 1/sr"
+        )
     name = objective or default_objective(samples)
     measured = find_objective(samples, name)
     budget = Budget(began + max_seconds, progress=progress)
@@ -167,7 +178,3 @@ def _notes(result: Fit, samples: Samples, certain: Confidence | None, late: bool
             f"(p = {result.goodness['p_value']:.2g})"
         )
     return tuple(notes)
-
-
-REJECTED = 1e-3
-"""Probability below which a fit says that the model cannot be what was measured."""

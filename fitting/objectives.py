@@ -108,5 +108,6 @@ def find_objective(samples: Samples, name: str) -> Objective:
         return Objective(name, LOG, samples.sin_i[:, None])
     brightness = np.maximum(samples.values, 0.0) * samples.cos_i[:, None]
     if name == "nbrdf":
-        return Objective(name, ABSOLUTE_LOG, np.ones((n, 1)), _ROUNDED * float(np.mean(np.log1p(brightness))))
+        scale = _ROUNDED * float(np.mean(np.log1p(brightness))) or 1.0
+        return Objective(name, ABSOLUTE_LOG, np.ones((n, 1)), scale)
     return Objective(name, CUBE_ROOT, np.ones((n, 1)), _DARK * float(np.mean(brightness)) or 1.0)

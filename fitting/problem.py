@@ -169,8 +169,7 @@ class Problem:
         problem = Problem(self.lobes, self.samples, plain, self.cells.levels)
         found = problem.evaluate(x, None, slopes=False).coefficients
         # the slope of a root at 0 is infinite: begin inside
-        dark = 1e-3 * found.max(axis=0, initial=0.0)
-        return np.maximum(found, np.where(dark > 0.0, dark, 1e-6))
+        return np.maximum(found, 1e-3 * found.max(axis=0, initial=0.0))
 
     def relative_weights(self) -> Array:
         """Least squares with these is near the logarithmic objectives where the model is near the values."""
@@ -236,6 +235,8 @@ class Problem:
 
 def solve_scaled(matrix: Array, right: Array, damping: float) -> Array:
     """Solution of equations scaled to a unit diagonal, with `damping` added to it; null directions stay put."""
+    if len(right) == 0:
+        return right
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale[scale == 0.0] = np.inf
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))

@@ -34,8 +34,8 @@ def tables() -> dict[str, Table]:
         "one bright cell": empty.replace(values=spike),
         "noise": empty.replace(values=noise, std_error=np.ones_like(noise)),
         "near mirror": gold(2e-3).table(empty),
-        "tiny": gold(0.3).table(empty).replace(values=1e-200 * gold(0.3).table(empty).values),
-        "huge": gold(0.3).table(empty).replace(values=1e100 * gold(0.3).table(empty).values),
+        "tiny": gold(0.3).table(empty).replace(values=1e-20 * gold(0.3).table(empty).values),
+        "huge": gold(0.3).table(empty).replace(values=1e20 * gold(0.3).table(empty).values),
         "retro-reflecting": empty.replace(values=np.broadcast_to(
             np.exp(-np.arange(16.0))[None, None, :, None], empty.values.shape
         ).copy()),
@@ -98,6 +98,13 @@ def test_a_mirror_like_lobe_is_found_in_one_degree_cells() -> None:
     table = truth.table(grid(0, 90, 180, theta_i_deg=[10.0, 40.0, 65.0]))
     found = fit(table, truth.model)
     assert found.lobes[0].parameters["alpha"] == pytest.approx(5e-3, rel=0.05)
+
+
+@pytest.mark.parametrize("scale", [1e-200, 1e100])
+def test_values_in_no_unit_of_this_world(scale: float) -> None:
+    table = gold(0.3).table(grid(2, 4, 8))
+    with pytest.raises(InputError, match="values: the largest is"):
+        fit(table.replace(values=scale * table.values), "cook_torrance_ggx")
 
 
 def test_not_a_number_is_an_error() -> None:
