@@ -21,7 +21,6 @@ from gonio.progress import Report
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
-
 REJECTED = 1e-3
 """Probability below which a fit says that the model cannot be what was measured."""
 

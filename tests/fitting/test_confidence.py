@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fitting import Fit, Samples, fit
+from fitting import Fit, fit
 from gonio.table.table import Table
 
 from .materials import counted, gold, grid, material
