@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 _HALVINGS = 8
 _STEPS = 20
+_DARK = 1e-10  # of the brightest term: a lobe that lies between all samples has no coefficient
 _NULL = 1e-14  # of the largest eigenvalue: directions that change nothing
 
 
@@ -149,7 +150,7 @@ class Coefficients:
 def _scaled(gram: Array) -> tuple[NDArray[np.bool_], Array, Array, Array]:
     """Which columns there are, their lengths, and eigenvalues and vectors of the rest that matter."""
     scale = np.sqrt(np.maximum(np.diag(gram), 0.0))
-    used = scale > 0.0
+    used = scale > _DARK * scale.max(initial=0.0)
     s = scale[used]
     if not used.any():
         return used, s, np.zeros(0), np.zeros((0, 0))

@@ -18,7 +18,7 @@ from fitting.samples import Samples
 
 Array = NDArray[np.float64]
 
-COARSE_CELLS = 6000
+COARSE_CELLS = 4000
 _FINE = 32  # times rarer must cells about the mirror direction be, to have 4 x 4 x 4 nodes in this stage
 _GLOBAL_EVALUATIONS = 30  # and as many again per shape parameter
 _LOCAL_EVALUATIONS = 25
@@ -29,6 +29,7 @@ _PLACES = (0.25, 0.5, 0.75)  # of a new lobe's parameters in their range
 _OPTICS = 10  # other starts
 _MOVED = 1e-7  # of the range of a shape parameter: close enough
 _GAIN = 1e-3  # of a degree of freedom's share of the objective: a thirtieth of a standard error
+_ROUGH_GAIN = 1e-4  # of the objective, where a minimum is only compared with others
 _DAMPING = 1e-3  # when a step has failed first
 _MOST_DAMPING = 1e8
 
@@ -101,7 +102,7 @@ def explore(
         starts += _other_optics(problem, starts[0])
         found: list[Point] = []
         for begin in starts:
-            found.append(descend(problem, begin, budget, (span[1], span[1])))
+            found.append(descend(problem, begin, budget, (span[1], span[1]), _ROUGH_GAIN))
             if found[-1].value < _PERFECT:
                 break
         point = min(found, key=lambda p: p.value)
@@ -201,7 +202,9 @@ def search(
     return apart or [problem.reduced(start, None)]
 
 
-def descend(problem: Problem, start: Point, budget: Budget, span: tuple[float, float]) -> Point:
+def descend(
+    problem: Problem, start: Point, budget: Budget, span: tuple[float, float], rough: float = 0.0
+) -> Point:
     """Minimise from a point near the minimum: Levenberg and Marquardt's steps of all unknowns within bounds.
 
     The matrix of a step is that of Golub and Pereyra's in Kaufman's form if the coefficients are at their
@@ -215,6 +218,8 @@ def descend(problem: Problem, start: Point, budget: Budget, span: tuple[float, f
     budget : Budget
     span : tuple of 2 float
         Progress before and after.
+    rough : float
+        Stop where a step promises less than this share of the objective.
 
     Returns
     -------
@@ -233,6 +238,8 @@ def descend(problem: Problem, start: Point, budget: Budget, span: tuple[float, f
         gain = float(2.0 * step @ right - step @ matrix @ step)
         small = np.abs(step[:d]).max(initial=0.0) < _MOVED and damping == 0.0
         if (abs(gain) < _GAIN * point.value / freedom and small) or damping > _MOST_DAMPING:
+            break
+        if 0.0 < gain < rough * point.value:
             break
         trial = problem.evaluate(*problem.moved(point, step)) if gain > 0.0 else point
         if trial.value < point.value:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from click.testing import CliRunner
 
 from fitting import Fit
 from fitting.commands import COMMANDS, fit_command, tabulate_command
+from gonio.bench import BENCHMARKS
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -77,3 +79,7 @@ def test_bad_input_raises_what_the_command_line_reports(tmp_path: Path) -> None:
     assert isinstance(
         run(tabulate_command, tmp_path / "none.json", "-o", tmp_path / "T.h5").exception, InputError
     )
+
+
+def test_the_benchmark_of_fits_is_registered() -> None:
+    assert callable(import_module(BENCHMARKS["fit"]).run)
