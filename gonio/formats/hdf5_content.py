@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
+from uuid import uuid4
 
 import h5py
 import numpy as np
@@ -49,4 +50,5 @@ def stored_bytes(content: Mapping[str, Any]) -> int:
 
 
 def _memory() -> h5py.File:
-    return h5py.File("memory", "w", driver="core", backing_store=False)
+    # HDF5 knows files by their names, even those it never writes: one a thread
+    return h5py.File(f"memory-{uuid4()}", "w", driver="core", backing_store=False)

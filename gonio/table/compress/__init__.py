@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -26,6 +27,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.core.parallel import processors
 from gonio.files import atomic
 from gonio.formats import hdf5
 from gonio.formats.hdf5_content import stored_bytes
@@ -48,6 +50,9 @@ __all__ = [
     "row_errors",
     "row_noise",
 ]
+
+
+_TRIALS_AT_ONCE = 4
 
 
 class Method(Protocol):
@@ -227,13 +232,18 @@ def _content(table: Table, bounds: NDArray, method: str, fallback: str | None) -
 
 def trial_sizes(table: Table, bounds: NDArray[np.float64]) -> dict[str, int]:
     """Bytes of content by method, of a quick trial of each; without those that cannot hold the bounds."""
-    sizes = {}
-    for name, method in methods().items():
+
+    def size(method: Method) -> int | None:
         try:
-            sizes[name] = stored_bytes(method.encode(table, bounds, True))
+            return stored_bytes(method.encode(table, bounds, True))
         except InputError:
-            continue
-    return sizes
+            return None
+
+    known = methods()
+    # a trial takes some ten times the table's memory, and most of its time numpy's, without Python's lock
+    with ThreadPoolExecutor(min(_TRIALS_AT_ONCE, processors())) as pool:
+        sizes = dict(zip(known, pool.map(size, known.values()), strict=True))
+    return {name: found for name, found in sizes.items() if found is not None}
 
 
 def _slim(table: Table, facts: Mapping[str, Any], path: str = "") -> Table:
