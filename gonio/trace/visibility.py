@@ -40,6 +40,35 @@ class Nodes(NamedTuple):
     """(P,) phi_d, radians, from 0 to pi/2."""
     every: NDArray[np.int64]
     """(B,) one round of picks in so many looks at this opening."""
+    alpha: float
+    """Beckmann roughness of the visibility that looks are compared with."""
+
+
+@kernel(allocates=False)
+def projected_area(alpha, cosine, sine):
+    """Area of a Beckmann surface that faces a direction, projected on it: (1 + Lambda) cos theta.
+
+    Heitz 2014, "Understanding the masking-shadowing function in microfacet-based BRDFs", eq. 74, so written
+    that it holds up to the horizon; visible or not, per area of the plane.
+
+    Parameters
+    ----------
+    alpha : float
+    cosine, sine : float
+        Of theta, the cosine not below 0.
+    """
+    if sine == 0.0:
+        return cosine
+    a = cosine / (alpha * sine)
+    return 0.5 * cosine * (1.0 + math.erf(a)) + 0.5 * alpha * sine * math.exp(-a * a) / math.sqrt(math.pi)
+
+
+@kernel(allocates=False)
+def _inverse_smith(alpha, i, o):
+    """1 + Lambda_i + Lambda_o."""
+    p_i = projected_area(alpha, i[2], math.sqrt(i[0] * i[0] + i[1] * i[1]))
+    p_o = projected_area(alpha, o[2], math.sqrt(o[0] * o[0] + o[1] * o[1]))
+    return p_i / i[2] + p_o / o[2] - 1.0
 
 
 @kernel(allocates=False)
@@ -111,8 +140,10 @@ def see_both(embree, box, relief, tilts, low, high, members, node, nodes, rounds
         Part of the random numbers' counter.
     nodes : Nodes
     rounds, seed, batch : int
-    looks, seen : ndarray of int64, shape (B, P)
-        Numbers of looks, and of those that were free both ways, are added.
+    looks : ndarray of int64, shape (B, P)
+        Number of looks is added.
+    seen : ndarray, shape (B, P)
+        For each look that was free both ways, 1 over Smith's visibility G of its pair of directions is added.
 
     Returns
     -------
@@ -120,7 +151,21 @@ def see_both(embree, box, relief, tilts, low, high, members, node, nodes, rounds
         Rays traced.
     """
     return _see_both(
-        embree, box, relief, tilts, low, high, members, node, nodes, rounds, seed, batch, looks, seen, new_ray()
+        embree,
+        box,
+        relief,
+        tilts,
+        low,
+        high,
+        members,
+        node,
+        nodes,
+        rounds,
+        seed,
+        batch,
+        looks,
+        seen,
+        new_ray(),
     )
 
 
@@ -170,7 +215,7 @@ def _see_both(
                 free, cast = _is_free(embree, box, ray, p, upper)
                 rays += cast
             if free:
-                seen[b, c] += 1
+                seen[b, c] += _inverse_smith(nodes.alpha, lower, upper)
     return rays
 
 

@@ -1,0 +1,312 @@
+"""The half-vector estimator: light that leaves a rough mirror after one bounce, without binning it.
+
+A facet of normal m sends light from i to o only if m is their half vector h. Averaged over the azimuth of i,
+as the rows of a table are, the BRDF of single scattering off a height field is therefore exactly
+
+    f1(i, o) = F(theta_d) D(theta_h) V(i, o) / (4 cos theta_i cos theta_r),
+
+where D is the area of facets by tilt (per solid angle and per area of the plane) and V the fraction of the
+facets of tilt theta_h that, with i and o turned to where their half vector is the facet's normal, see both.
+No isotropy is asked of the surface. D is one-dimensional: every facet of every realisation feeds it. V is
+smooth; it is measured by pairs of occlusion rays from few facets at the nodes of a grid in (theta_h, theta_d,
+phi_d) (Rusinkiewicz 1998), which has its only kink, retro-reflection, on its border theta_d = 0.
+
+Light of two and more bounces is not in it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.core.lookup import axis
+from gonio.core.optics import fresnel_conductor
+from gonio.core.parallel import for_each
+from gonio.trace.half_vector_cells import Model, Rule, row_cells
+from gonio.trace.scene import Optics, TraceScene
+from gonio.trace.visibility import Nodes, Relief, measure_tilts, projected_area, see_both
+from microgeometry.tile import HeightField
+
+Array = NDArray[np.float64]
+
+BINS = 1800  # of tilt, 0.05 degrees each
+STEP = 0.5 * math.pi / BINS
+_ROUNDS = 32  # of picks: the looks at a node and batch near the horizon
+_GROUPS = 64  # batches are kept apart in that many groups at most
+_FRESNEL = 1024
+_FINE_SPREAD = math.radians(2.5)
+_LEVELS = 10
+# tilts in units of alpha; beyond the last, at exp(-9) of the peak, visibility is taken as there
+_TILTS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.35, 2.7, 3.0)
+_WINDOW = 0.05
+_OPENINGS = (0.0, 0.2, 0.35, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985, 0.995, 0.999)
+_EVERY = (16, 16, 16, 16, 8, 8, 8, 4, 4, 2, 2, 1, 1, 1)
+_TURNS_DEG = (0.0, 7.5, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0)
+
+
+class HalfVector:
+    """Single bounces off one opaque surface of mirror facets, batch by batch.
+
+    Parameters
+    ----------
+    optics : Optics
+        Of a mirror or a conductor.
+    to_channels : ndarray or None, shape (C, S)
+        From the samples traced to the table's channels; None where they are the same.
+    samples : int
+        S.
+    alpha : float
+        Roughness of the surface; it only places the nodes of visibility and sets the visibility they correct.
+    seed : int
+
+    Attributes
+    ----------
+    batches : int
+    rays : int
+        Occlusion rays cast.
+    """
+
+    def __init__(
+        self, optics: Optics, to_channels: Array | None, samples: int, alpha: float, seed: int
+    ) -> None:
+        self.batches = 0
+        self.rays = 0
+        self._seed = seed
+        self._fresnel = _reflectance(optics, samples)
+        if to_channels is not None:
+            self._fresnel = self._fresnel @ to_channels.T
+        tilt = np.arctan(alpha * np.array(_TILTS))
+        window = _WINDOW * alpha * np.cos(tilt) ** 2
+        window[0] *= 2
+        self._nodes = Nodes(
+            tilt, window, np.array(_OPENINGS), np.radians(_TURNS_DEG), np.array(_EVERY, np.int64), alpha
+        )
+        self._facets = 0
+        # sums over the batches of each group: area by tilt, area in the windows, and of that what is seen
+        shape = len(_TILTS), len(_OPENINGS), len(_TURNS_DEG)
+        self._batches_per_group = 1
+        self._count = np.zeros(_GROUPS)
+        self._area = np.zeros((_GROUPS, BINS))
+        self._window_area = np.zeros((_GROUPS, len(_TILTS)))
+        self._seen_area = np.zeros((_GROUPS, *shape))
+
+    def add(self, tile: HeightField, scene: TraceScene, batch: int, threads: int | None = None) -> None:
+        """Measure one realisation.
+
+        Parameters
+        ----------
+        tile : HeightField
+        scene : TraceScene
+            Of this tile alone.
+        batch : int
+            Part of the random numbers' key.
+        threads : int, optional
+            The result does not depend on it.
+        """
+        z = (tile.heights - scene.centre) / scene.unit
+        nx, ny = z.shape
+        relief = Relief(z, tile.size[0] / scene.unit / nx, tile.size[1] / scene.unit / ny)
+        nodes = self._nodes
+        low, high = nodes.tilt - nodes.window, nodes.tilt + nodes.window
+        tilts = np.empty((z.size, 2), np.float32)
+        members = np.zeros(len(low), np.int64)
+        area, window_area = np.zeros(BINS), np.zeros(len(low))
+        measure_tilts(relief, STEP, tilts, area, low, high, members, window_area)
+        looks = np.zeros((len(low), len(nodes.opening), len(nodes.turn)), np.int64)
+        seen = np.zeros(looks.shape)
+
+        def look(a: int) -> int:
+            if members[a] == 0:
+                return 0
+            return see_both(
+                scene.embree, scene.box, relief, tilts, low[a], high[a], members[a], a, nodes, _ROUNDS,
+                self._seed, batch, looks[a], seen[a],
+            )  # fmt: skip
+
+        self.rays += sum(for_each(look, len(low), threads))
+        share = seen / np.maximum(looks, 1)
+        scale = 1.0 / (2 * z.size)  # facets have equal projected areas, which add up to the plane's
+        group = self._open_group()
+        self._count[group] += 1
+        self._area[group] += area * scale
+        self._window_area[group] += window_area * scale
+        self._seen_area[group] += share * (window_area * scale)[:, None, None]
+        self._facets += 2 * z.size
+        self.batches += 1
+
+    def _open_group(self) -> int:
+        """Group of the next batch; where all are full, neighbours merge and each holds twice as many."""
+        group = self.batches // self._batches_per_group
+        if group == _GROUPS:
+            for sums in (self._count, self._area, self._window_area, self._seen_area):
+                sums[: _GROUPS // 2] = sums[::2] + sums[1::2]
+                sums[_GROUPS // 2 :] = 0.0
+            self._batches_per_group *= 2
+            group = _GROUPS // 2
+        return group
+
+    def cells(
+        self,
+        theta_i: Array,
+        theta_i_edges: Array | None,
+        theta_r_edges: Array,
+        delta_phi_edges: Array,
+        omega: Array,
+        threads: int | None = None,
+    ) -> tuple[Array, Array, Array, Array]:
+        """Cell averages of the BRDF of single bounces, and the energy of the rows; at least two batches.
+
+        Parameters
+        ----------
+        theta_i : ndarray, shape (I,)
+            Rows, radians: exactly these angles, or where `theta_i_edges` are given, averages over projected
+            solid angle between them.
+        theta_i_edges : ndarray or None, shape (I + 1,)
+        theta_r_edges, delta_phi_edges : ndarray, shapes (R + 1,) and (P + 1,)
+            Radians.
+        omega : ndarray, shape (R * P,)
+            Projected solid angles of the cells, sr.
+        threads : int, optional
+
+        Returns
+        -------
+        values, std_error : ndarray, shape (I, R * P, C)
+            1/sr.
+        energy, energy_error : ndarray, shape (I, C)
+            Sum over cells of value times projected solid angle, and its standard error from batches.
+        """
+        nodes = self._nodes
+        model = self._model()
+
+        def rules(points: int) -> tuple[Rule, Rule, Rule]:
+            incident = (
+                _rule(theta_i[:, None], np.ones((len(theta_i), 1)), nodes.alpha)
+                if theta_i_edges is None
+                else _polar_rule(theta_i_edges, points, nodes.alpha)
+            )
+            return (
+                incident,
+                _polar_rule(theta_r_edges, points, nodes.alpha),
+                _rule(*_gauss(delta_phi_edges, points), nodes.alpha),
+            )
+
+        fast, fine = rules(2), rules(8)
+        rows, cells, channels = len(theta_i), len(omega), self._fresnel.shape[1]
+        values, std_error = np.zeros((2, rows, cells, channels))
+        by_tilt = np.zeros((rows, BINS, channels))
+        by_node = np.zeros((rows, model.rho.size, channels))
+
+        def average(row: int) -> None:
+            row_cells(
+                model,
+                row,
+                fast,
+                fine,
+                _FINE_SPREAD,
+                values[row],
+                std_error[row],
+                by_tilt[row],
+                by_node[row],
+                omega,
+            )
+
+        for_each(average, rows, threads)
+        energy = np.einsum("rnc->rc", by_tilt)
+        return values, std_error, energy, self._energy_error(by_tilt, by_node)
+
+    def _model(self) -> Model:
+        """Means over all batches, and their noise."""
+        count, n = self._used()
+        area, window, seen = self._area[:n], self._window_area[:n], self._seen_area[:n]
+        edges = STEP * np.arange(BINS + 1)
+        solid_angle = 2.0 * math.pi * -np.diff(np.cos(edges))
+        density = area.sum(0) / self.batches / solid_angle
+        # relative deviations of groups of batches
+        noise = np.stack([_relative_variance(_moving_sum(area, 2**level), count) for level in range(_LEVELS)])
+        seen_dev, window_dev = _deviations(seen, count), _deviations(window, count)[:, :, None, None]
+        # D goes with the facets in the window: rho is seen over there
+        rho_noise = _variance(seen_dev, count) - _variance(window_dev, count)
+        total = window.sum(0)[:, None, None]
+        rho = np.where(total > 0, seen.sum(0) / np.where(total > 0, total, 1.0), np.nan)
+        for a in range(len(total)):  # tilts too rare to be seen look like the steepest that are not
+            if a and (total[a] == 0 or np.count_nonzero(window[:, a]) < n // 2):
+                rho[a], rho_noise[a] = rho[a - 1], rho_noise[a - 1]
+        one_degree = np.sin(edges[:-1] + 0.5 * STEP) * math.radians(1.0) * 2.0 * math.pi
+        floor = 3.0 / (self._facets * np.cos(edges[:-1] + 0.5 * STEP) * one_degree)
+        nodes = self._nodes
+        return Model(
+            STEP, density, noise, floor, self._fresnel, axis(nodes.tilt), axis(nodes.opening), axis(nodes.turn),
+            np.ascontiguousarray(rho), np.ascontiguousarray(rho_noise),
+        )  # fmt: skip
+
+    def _used(self) -> tuple[Array, int]:
+        """Batches of each group in use, and how many groups those are."""
+        n = int(np.count_nonzero(self._count))
+        return self._count[:n], n
+
+    def _energy_error(self, by_tilt: Array, by_node: Array) -> Array:
+        """Standard error of sums over cells, of which so much energy rests on each bin of tilt and node."""
+        count, n = self._used()
+        seen = _deviations(self._seen_area[:n], count)
+        seen -= _deviations(self._window_area[:n], count)[:, :, None, None]
+        change = np.einsum("gn,rnc->grc", _deviations(self._area[:n], count), by_tilt, optimize=True)
+        change += np.einsum("gn,rnc->grc", seen.reshape(n, -1), by_node, optimize=True)
+        return np.sqrt(_variance(change, count))
+
+
+def _deviations(sums: Array, count: Array) -> Array:
+    """Relative deviations from the mean over all batches of sums over groups; 0 where there is nothing."""
+    shape = (-1, *[1] * (sums.ndim - 1))
+    mean = sums.sum(0) / count.sum()
+    return np.where(mean > 0, sums / count.reshape(shape) / np.where(mean > 0, mean, 1.0) - 1.0, 0.0)
+
+
+def _variance(deviations: Array, count: Array) -> Array:
+    """Variance of the mean over batches, from deviations of groups of `count` batches each."""
+    squares = np.tensordot(count, deviations**2, 1)
+    return squares / (max(len(count) - 1, 1) * count.sum())
+
+
+def _relative_variance(sums: Array, count: Array) -> Array:
+    return _variance(_deviations(sums, count), count)
+
+
+def _moving_sum(a: Array, width: int) -> Array:
+    """Sums over `width` neighbours along the last axis, about each; fewer at the ends."""
+    total = np.concatenate([np.zeros((*a.shape[:-1], 1)), np.cumsum(a, axis=-1)], axis=-1)
+    centre = np.arange(a.shape[-1])
+    low = np.maximum(centre - (width - 1) // 2, 0)
+    high = np.minimum(centre + width // 2 + 1, a.shape[-1])
+    return total[..., high] - total[..., low]
+
+
+def _gauss(edges: Array, points: int) -> tuple[Array, Array]:
+    """Gauss-Legendre points and weights, of sum 1, on each interval; shape (n, points) each."""
+    x, w = np.polynomial.legendre.leggauss(points)
+    half = 0.5 * np.diff(edges)[:, None]
+    return edges[:-1, None] + half * (1.0 + x), np.broadcast_to(0.5 * w, (len(half), points))
+
+
+def _polar_rule(edges: Array, points: int, alpha: float) -> Rule:
+    """Averages over projected solid angle, sin theta cos theta d theta, between edges."""
+    theta, weight = _gauss(edges, points)
+    weight = weight * np.sin(2.0 * theta)
+    return _rule(theta, weight / weight.sum(1, keepdims=True), alpha)
+
+
+def _rule(angle: Array, weight: Array, alpha: float) -> Rule:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    projected = [projected_area(alpha, max(0.0, c), s) for c, s in zip(cosine.flat, sine.flat, strict=True)]
+    return Rule(cosine, sine, np.reshape(projected, angle.shape), np.ascontiguousarray(weight))
+
+
+def _reflectance(optics: Optics, samples: int) -> Array:
+    """Reflectance for unpolarised light, shape (_FRESNEL, S), at theta_d uniform from 0 to pi/2."""
+    if optics.eta_k is None:
+        return np.ones((_FRESNEL, samples))
+    cosine = np.cos(np.linspace(0.0, 0.5 * math.pi, _FRESNEL))
+    return np.array(
+        [[0.5 * sum(fresnel_conductor(max(0.0, c), eta, k)) for eta, k in optics.eta_k] for c in cosine]
+    )
