@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 BINS = 1800  # of tilt, 0.05 degrees each
 STEP = 0.5 * math.pi / BINS
-_ROUNDS = 32  # of picks: the looks at a node and batch near the horizon
+_ROUNDS = 256  # of picks: the looks at a node and batch near the horizon
 _GROUPS = 64  # batches are kept apart in that many groups at most
 _FRESNEL = 1024
 _FINE_SPREAD = math.radians(2.5)
@@ -42,7 +42,7 @@ _LEVELS = 10
 _TILTS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.35, 2.7, 3.0)
 _WINDOW = 0.05
 _OPENINGS = (0.0, 0.2, 0.35, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985, 0.995, 0.999)
-_EVERY = (16, 16, 16, 16, 8, 8, 8, 4, 4, 2, 2, 1, 1, 1)
+_EVERY = (32, 32, 32, 16, 16, 8, 8, 4, 4, 2, 2, 1, 1, 1)
 _TURNS_DEG = (0.0, 7.5, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0)
 
 
