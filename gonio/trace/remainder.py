@@ -1,0 +1,129 @@
+"""Light that is smooth in all angles, from coarse blocks to the cells of a fine table.
+
+After two or more bounces off a rough surface light knows little of the direction it came from: its BRDF R varies
+over tens of degrees, and cells of one degree that count paths hold more noise than information. It is
+counted in blocks instead, and interpolated linearly between the blocks' centres. Over the pole of theta_i or
+theta_r the neighbour of a block is the one at delta phi on the other side of it,
+R(-theta, delta phi) = R(theta, pi - delta phi); around a pole, where R cannot depend much on delta phi, blocks
+are merged to sectors of more even size. Where rows are blocks too, R(i, o) = R(o, i) halves the variance.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+BLOCK_THETA_DEG = 3.0
+BLOCK_PHI_DEG = 6.0
+
+
+def spread(
+    values: Array,
+    variance: Array,
+    theta_edges: Array,
+    phi_edges: Array,
+    theta_r: Array,
+    delta_phi: Array,
+    theta_i: Array | None,
+) -> tuple[Array, Array]:
+    """Interpolate averages over blocks at the centres of cells.
+
+    Parameters
+    ----------
+    values, variance : ndarray, shape (I, R, P, C)
+        Averages over blocks, and the variance of each, independent of each other.
+    theta_edges, phi_edges : ndarray, shapes (R + 1,) and (P + 1,)
+        Edges of the blocks, radians; both uniform, the latter symmetric about pi/2.
+    theta_r, delta_phi : ndarray, shapes (r,) and (p,)
+        Centres of cells, radians.
+    theta_i : ndarray or None, shape (i,)
+        Where rows are blocks with the edges of theta_r: centres of rows, radians. None: rows stay.
+
+    Returns
+    -------
+    values, std_error : ndarray, shape (i, r, p, C)
+    """
+    reciprocal = theta_i is not None
+    if reciprocal:
+        values = 0.5 * (values + values.swapaxes(0, 1))
+        variance = 0.25 * (variance + variance.swapaxes(0, 1))
+    centres = 0.5 * (theta_edges[1:] + theta_edges[:-1])
+    sectors = [_sectors(theta, len(phi_edges) - 1) for theta in centres]
+    by_phi = {n: _azimuth_weights(n, phi_edges, delta_phi) for n in set(sectors)}
+    mirror = {n: _azimuth_weights(n, phi_edges, math.pi - delta_phi) for n in set(sectors)}
+    ahead, across = _polar_weights(centres, theta_r)
+    if theta_i is None:
+        to_row: list[list[tuple[int, float, bool]]] = [[(row, 1.0, False)] for row in range(len(values))]
+        rows = [len(phi_edges) - 1] * len(values)
+    else:
+        row_ahead, row_across = _polar_weights(centres, theta_i)
+        to_row = [
+            [
+                (a, w[a], flip)
+                for flip, w in ((False, row_ahead[i]), (True, row_across[i]))
+                for a in np.flatnonzero(w)
+            ]
+            for i in range(len(theta_i))
+        ]
+        rows = sectors
+    shape = len(to_row), len(theta_r), len(delta_phi), values.shape[3]
+    mean, square = np.zeros(shape), np.zeros(shape)
+    for i, blocks in enumerate(to_row):
+        for a, weight, flip in blocks:
+            for b in range(len(centres)):
+                n = min(rows[a], sectors[b])
+                for use, w, other in (
+                    (by_phi[n], ahead[:, b], mirror[n]),
+                    (mirror[n], across[:, b], by_phi[n]),
+                ):
+                    reached = np.flatnonzero(w)
+                    if len(reached) == 0:
+                        continue
+                    to_phi = other if flip else use
+                    w = weight * w[reached]
+                    mean[i, reached] += w[:, None, None] * (to_phi @ values[a, b])
+                    square[i, reached] += (w**2)[:, None, None] * (to_phi**2 @ variance[a, b])
+    return np.maximum(mean, 0.0), np.sqrt(square)
+
+
+def _sectors(theta: float, most: int) -> int:
+    """Number of sectors about as wide as a block is high, a divisor of `most`."""
+    wanted = 1 + 0.75 * most * math.sin(theta) / math.sin(math.radians(20))
+    return max(n for n in range(1, most + 1) if most % n == 0 and (n <= wanted))
+
+
+def _azimuth_weights(n: int, edges: Array, delta_phi: Array) -> Array:
+    """Weights (p, P) that merge blocks to n sectors and interpolate between their centres; even at 0 and pi."""
+    most = len(edges) - 1
+    merge = most // n
+    centres = 0.5 * (edges[:-1:merge] + edges[merge::merge])
+    weights = np.zeros((len(delta_phi), most))
+    for k, phi in enumerate(delta_phi):
+        right = int(np.searchsorted(centres, phi))
+        if right in (0, n):  # the neighbour beyond is the mirror image: the same
+            near = [(min(right, n - 1), 1.0)]
+        else:
+            x = (phi - centres[right - 1]) / (centres[right] - centres[right - 1])
+            near = [(right - 1, 1.0 - x), (right, x)]
+        for sector, w in near:
+            weights[k, sector * merge : (sector + 1) * merge] += w / merge
+    return weights
+
+
+def _polar_weights(centres: Array, theta: Array) -> tuple[Array, Array]:
+    """Weights (t, B) of the blocks at their own delta phi, and of those beyond the pole, at pi - delta phi."""
+    ahead, across = np.zeros((2, len(theta), len(centres)))
+    for k, t in enumerate(theta):
+        right = int(np.searchsorted(centres, t))
+        if right == 0:  # between centres[0] and its image beyond the pole
+            x = 0.5 * (1.0 + t / centres[0])
+            ahead[k, 0], across[k, 0] = x, 1.0 - x
+        else:  # beyond the last centre, to the horizon, the line goes on
+            right = min(right, len(centres) - 1)
+            x = (t - centres[right - 1]) / (centres[right] - centres[right - 1])
+            ahead[k, right - 1], ahead[k, right] = 1.0 - x, x
+    return ahead, across
