@@ -24,26 +24,42 @@ from numpy.typing import NDArray
 from gonio.core.lookup import axis
 from gonio.core.optics import fresnel_conductor
 from gonio.core.parallel import for_each
-from gonio.trace.half_vector_cells import Model, Rule, row_cells
+from gonio.trace.half_vector_cells import Model, Rule, azimuth_rule, point_rule, polar_rule, row_cells
 from gonio.trace.scene import Optics, TraceScene
-from gonio.trace.visibility import Nodes, Relief, measure_tilts, projected_area, see_both
+from gonio.trace.visibility import Nodes, Relief, measure_tilts, see_both
+from microgeometry.materials import Conductor, Mirror
+from microgeometry.specimen import Layer
+from microgeometry.surfaces.exponential import Exponential
+from microgeometry.surfaces.gaussian import Gaussian
+from microgeometry.surfaces.self_affine import SelfAffine
 from microgeometry.tile import HeightField
 
 Array = NDArray[np.float64]
 
 BINS = 1800  # of tilt, 0.05 degrees each
 STEP = 0.5 * math.pi / BINS
-_ROUNDS = 256  # of picks: the looks at a node and batch near the horizon
+_ROUNDS = 1024  # of picks: the looks at a node and batch near the horizon
 _GROUPS = 64  # batches are kept apart in that many groups at most
 _FRESNEL = 1024
-_FINE_SPREAD = math.radians(2.5)
+_FINE_SPREAD = math.radians(1.2)  # of theta_h, per point of the quadrature along theta
 _LEVELS = 10
 # tilts in units of alpha; beyond the last, at exp(-9) of the peak, visibility is taken as there
 _TILTS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.35, 2.7, 3.0)
 _WINDOW = 0.05
 _OPENINGS = (0.0, 0.2, 0.35, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985, 0.995, 0.999)
-_EVERY = (32, 32, 32, 16, 16, 8, 8, 4, 4, 2, 2, 1, 1, 1)
+_EVERY = (128, 128, 128, 64, 64, 32, 32, 16, 16, 8, 4, 2, 1, 1)
 _TURNS_DEG = (0.0, 7.5, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0)
+_LEAST_ALPHA = 0.03  # below, D is too steep for the bins of tilt and the points of a 1-degree cell
+_SURFACES = Gaussian, Exponential, SelfAffine
+
+
+def applies(layer: Layer, alpha: float) -> bool:
+    """Whether single bounces can be measured so: random slopes of all sizes and not too small, mirror facets."""
+    return (
+        isinstance(layer.surface, _SURFACES)
+        and isinstance(layer.material, Mirror | Conductor)
+        and alpha >= _LEAST_ALPHA
+    )
 
 
 class HalfVector:
@@ -107,7 +123,9 @@ class HalfVector:
         """
         z = (tile.heights - scene.centre) / scene.unit
         nx, ny = z.shape
-        relief = Relief(z, tile.size[0] / scene.unit / nx, tile.size[1] / scene.unit / ny)
+        relief = Relief(
+            z, tile.size[0] / scene.unit / nx, tile.size[1] / scene.unit / ny, float(z.mean()), float(z.std())
+        )
         nodes = self._nodes
         low, high = nodes.tilt - nodes.window, nodes.tilt + nodes.window
         tilts = np.empty((z.size, 2), np.float32)
@@ -177,22 +195,21 @@ class HalfVector:
         energy, energy_error : ndarray, shape (I, C)
             Sum over cells of value times projected solid angle, and its standard error from batches.
         """
-        nodes = self._nodes
+        alpha = self._nodes.alpha
         model = self._model()
 
-        def rules(points: int) -> tuple[Rule, Rule, Rule]:
-            incident = (
-                _rule(theta_i[:, None], np.ones((len(theta_i), 1)), nodes.alpha)
-                if theta_i_edges is None
-                else _polar_rule(theta_i_edges, points, nodes.alpha)
-            )
+        def rules(finer: int) -> tuple[Rule, Rule, Rule]:
+            polar = finer * _points(theta_r_edges)
             return (
-                incident,
-                _polar_rule(theta_r_edges, points, nodes.alpha),
-                _rule(*_gauss(delta_phi_edges, points), nodes.alpha),
+                point_rule(theta_i, alpha)
+                if theta_i_edges is None
+                else polar_rule(theta_i_edges, polar, alpha),
+                polar_rule(theta_r_edges, polar, alpha),
+                azimuth_rule(delta_phi_edges, finer * _points(delta_phi_edges)),
             )
 
-        fast, fine = rules(2), rules(8)
+        fast, fine = rules(1), rules(4)
+        coarse = _FINE_SPREAD * _points(theta_r_edges)
         rows, cells, channels = len(theta_i), len(omega), self._fresnel.shape[1]
         values, std_error = np.zeros((2, rows, cells, channels))
         by_tilt = np.zeros((rows, BINS, channels))
@@ -200,21 +217,11 @@ class HalfVector:
 
         def average(row: int) -> None:
             row_cells(
-                model,
-                row,
-                fast,
-                fine,
-                _FINE_SPREAD,
-                values[row],
-                std_error[row],
-                by_tilt[row],
-                by_node[row],
-                omega,
-            )
+                model, row, fast, fine, coarse, values[row], std_error[row], by_tilt[row], by_node[row], omega
+            )  # fmt: skip
 
         for_each(average, rows, threads)
-        energy = np.einsum("rnc->rc", by_tilt)
-        return values, std_error, energy, self._energy_error(by_tilt, by_node)
+        return values, std_error, by_tilt.sum(1), self._energy_error(by_tilt, by_node)
 
     def _model(self) -> Model:
         """Means over all batches, and their noise."""
@@ -282,24 +289,9 @@ def _moving_sum(a: Array, width: int) -> Array:
     return total[..., high] - total[..., low]
 
 
-def _gauss(edges: Array, points: int) -> tuple[Array, Array]:
-    """Gauss-Legendre points and weights, of sum 1, on each interval; shape (n, points) each."""
-    x, w = np.polynomial.legendre.leggauss(points)
-    half = 0.5 * np.diff(edges)[:, None]
-    return edges[:-1, None] + half * (1.0 + x), np.broadcast_to(0.5 * w, (len(half), points))
-
-
-def _polar_rule(edges: Array, points: int, alpha: float) -> Rule:
-    """Averages over projected solid angle, sin theta cos theta d theta, between edges."""
-    theta, weight = _gauss(edges, points)
-    weight = weight * np.sin(2.0 * theta)
-    return _rule(theta, weight / weight.sum(1, keepdims=True), alpha)
-
-
-def _rule(angle: Array, weight: Array, alpha: float) -> Rule:
-    cosine, sine = np.cos(angle), np.sin(angle)
-    projected = [projected_area(alpha, max(0.0, c), s) for c, s in zip(cosine.flat, sine.flat, strict=True)]
-    return Rule(cosine, sine, np.reshape(projected, angle.shape), np.ascontiguousarray(weight))
+def _points(edges: Array) -> int:
+    """Points of a quadrature over intervals this wide: one a degree, at least 2."""
+    return max(2, math.ceil(math.degrees(float(np.max(np.diff(edges)))) - 1e-6))
 
 
 def _reflectance(optics: Optics, samples: int) -> Array:

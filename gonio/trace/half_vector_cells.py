@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from gonio.core.jit import kernel
 from gonio.core.lookup import Axis, find
+from gonio.trace.visibility import projected_area
 
 Array = NDArray[np.float64]
 
@@ -58,6 +59,37 @@ class Rule(NamedTuple):
     weight: Array
 
 
+def point_rule(theta: Array, alpha: float) -> Rule:
+    """Exactly these angles."""
+    return _rule(theta[:, None], np.ones((len(theta), 1)), alpha)
+
+
+def polar_rule(edges: Array, points: int, alpha: float) -> Rule:
+    """Averages over projected solid angle, sin theta cos theta d theta, between edges."""
+    theta, weight = _gauss(edges, points)
+    weight = weight * np.sin(2.0 * theta)
+    return _rule(theta, weight / weight.sum(1, keepdims=True), alpha)
+
+
+def azimuth_rule(edges: Array, points: int) -> Rule:
+    """Averages over delta phi between edges."""
+    phi, weight = _gauss(edges, points)
+    return Rule(np.cos(phi), np.sin(phi), np.zeros(phi.shape), weight)
+
+
+def _gauss(edges: Array, points: int) -> tuple[Array, Array]:
+    """Gauss-Legendre points and weights, of sum 1, on each interval; shape (n, points) each."""
+    x, w = np.polynomial.legendre.leggauss(points)
+    half = 0.5 * np.diff(edges)[:, None]
+    return edges[:-1, None] + half * (1.0 + x), np.tile(0.5 * w, (len(half), 1))
+
+
+def _rule(theta: Array, weight: Array, alpha: float) -> Rule:
+    cosine, sine = np.cos(theta), np.sin(theta)
+    projected = [projected_area(alpha, c, s) for c, s in zip(cosine.flat, sine.flat, strict=True)]
+    return Rule(cosine, sine, np.reshape(projected, theta.shape), weight)
+
+
 @kernel(allocates=False)
 def row_cells(model, row, fast, fine, spread, values, std_error, by_tilt, by_node, omega):
     """Cell averages of one row.
@@ -92,12 +124,14 @@ def row_cells(model, row, fast, fine, spread, values, std_error, by_tilt, by_nod
             k = min(int(tilt / model.step), last)
             level = int(math.log2(max(1.0, _GAUSS * (high - low) / model.step)))
             level = min(level, model.noise.shape[0] - 1)
-            variance = model.noise[level, k] + _interpolate(model.rho_noise, a, b, p, x, y, z)
+            noise = model.noise[level, k]
+            # what the visibility takes away is itself uncertain: at most half the error bar
+            variance = max(0.25 * noise, noise + _interpolate_variance(model.rho_noise, a, b, p, x, y, z))
             node = (a + int(x + 0.5)) * model.rho.shape[1] + b + int(y + 0.5)
             node = node * model.rho.shape[2] + p + int(z + 0.5)
             for c in range(values.shape[1]):
-                if values[cell, c] > 0.0:
-                    std_error[cell, c] = values[cell, c] * math.sqrt(max(0.0, variance))
+                if values[cell, c] != 0.0:
+                    std_error[cell, c] = abs(values[cell, c]) * math.sqrt(variance)
                 energy = values[cell, c] * omega[cell]
                 by_tilt[k, c] += energy
                 by_node[node, c] += energy
@@ -183,3 +217,13 @@ def _interpolate(f, a, b, p, x, y, z):
         (1.0 - z) * f[a + 1, b + 1, p] + z * f[a + 1, b + 1, p + 1]
     )
     return (1.0 - x) * near + x * far
+
+
+@kernel(allocates=False)
+def _interpolate_variance(f, a, b, p, x, y, z):
+    """Variance of what `_interpolate` makes of nodes; those of different tilts and turns are independent."""
+    near = (1.0 - z) ** 2 * ((1.0 - y) * f[a, b, p] + y * f[a, b + 1, p])
+    near += z**2 * ((1.0 - y) * f[a, b, p + 1] + y * f[a, b + 1, p + 1])
+    far = (1.0 - z) ** 2 * ((1.0 - y) * f[a + 1, b, p] + y * f[a + 1, b + 1, p])
+    far += z**2 * ((1.0 - y) * f[a + 1, b, p + 1] + y * f[a + 1, b + 1, p + 1])
+    return (1.0 - x) ** 2 * near + x**2 * far

@@ -56,14 +56,15 @@ def spread(
     by_phi = {n: _azimuth_weights(n, phi_edges, delta_phi) for n in set(sectors)}
     mirror = {n: _azimuth_weights(n, phi_edges, math.pi - delta_phi) for n in set(sectors)}
     ahead, across = _polar_weights(centres, theta_r)
+    to_row: list[list[tuple[int, float, bool]]]
     if theta_i is None:
-        to_row: list[list[tuple[int, float, bool]]] = [[(row, 1.0, False)] for row in range(len(values))]
+        to_row = [[(row, 1.0, False)] for row in range(len(values))]
         rows = [len(phi_edges) - 1] * len(values)
     else:
         row_ahead, row_across = _polar_weights(centres, theta_i)
         to_row = [
             [
-                (a, w[a], flip)
+                (int(a), float(w[a]), flip)
                 for flip, w in ((False, row_ahead[i]), (True, row_across[i]))
                 for a in np.flatnonzero(w)
             ]

@@ -15,6 +15,7 @@ from gonio.core.philox import uniforms
 from gonio.trace.transport import MAX_SEGMENTS
 
 _PURPOSE = 1 << 24  # word of the random numbers' counter that no path's bounce reaches
+_LEAST_CHANCE = 0.05
 
 
 class Relief(NamedTuple):
@@ -25,6 +26,9 @@ class Relief(NamedTuple):
     step_x: float
     step_y: float
     """Distance of the samples, same unit."""
+    mean: float
+    rms: float
+    """Of the heights."""
 
 
 class Nodes(NamedTuple):
@@ -120,6 +124,20 @@ def _slopes(relief, i, j, half):
     return (z[i1, j1] - z[i, j1]) / relief.step_x, (z[i1, j1] - z[i1, j]) / relief.step_y
 
 
+@kernel(allocates=False)
+def _chance(below, inverse):
+    """Chance to cast rays at all, so that near the horizon the summits get them: Russian roulette.
+
+    Smith's visibility of a point with a fraction `below` of the surface below it is below^(1/G - 1). A quarter
+    of the exponent (measured: half of it is worse than none) and a floor keep the survivors' weights small.
+    """
+    if inverse < 1.5:
+        return 1.0
+    if below <= 0.0:
+        return _LEAST_CHANCE
+    return max(_LEAST_CHANCE, math.exp(0.25 * (inverse - 1.0) * math.log(below)))
+
+
 @kernel
 def see_both(embree, box, relief, tilts, low, high, members, node, nodes, rounds, seed, batch, looks, seen):
     """Look from facets of one window of tilt into both directions of every pair of a node.
@@ -186,11 +204,15 @@ def _see_both(
             facet += 1
             if low <= tilts[facet >> 1, facet & 1] < high:
                 rank += 1
+        luck, _, _, _ = uniforms(pick, node, _PURPOSE, 1, seed, batch)
         quad, half = facet >> 1, facet & 1
         i, j = quad // ny, quad % ny
         dx, dy = _slopes(relief, i, j, half)
         n = unit((-dx, -dy, 1.0))
         p = _point(relief, i, j, half, dx, dy, v, w)
+        below = (
+            0.5 * math.erfc((relief.mean - p[2]) / (math.sqrt(2.0) * relief.rms)) if relief.rms > 0.0 else 1.0
+        )
         p = (p[0] + box.lift * n[0], p[1] + box.lift * n[1], p[2] + box.lift * n[2])
         sine = math.sqrt(n[0] * n[0] + n[1] * n[1])
         across = (-n[1] / sine, n[0] / sine, 0.0) if sine > 0.0 else (0.0, 1.0, 0.0)
@@ -209,13 +231,17 @@ def _see_both(
             lower = combine(math.cos(opening), n, math.sin(opening), tangent, 0.0, n)
             upper = combine(math.cos(opening), n, -math.sin(opening), tangent, 0.0, n)
             looks[b, c] += 1
+            inverse = _inverse_smith(nodes.alpha, lower, upper)
+            chance = _chance(below, inverse)
+            if luck >= chance:
+                continue
             free, cast = _is_free(embree, box, ray, p, lower)
             rays += cast
             if free:
                 free, cast = _is_free(embree, box, ray, p, upper)
                 rays += cast
             if free:
-                seen[b, c] += _inverse_smith(nodes.alpha, lower, upper)
+                seen[b, c] += inverse / chance
     return rays
 
 
