@@ -50,7 +50,10 @@ def spread(
     reciprocal = theta_i is not None
     if reciprocal:
         values = 0.5 * (values + values.swapaxes(0, 1))
+        itself = np.arange(len(variance))
+        diagonal = variance[itself, itself]
         variance = 0.25 * (variance + variance.swapaxes(0, 1))
+        variance[itself, itself] = diagonal
     centres = 0.5 * (theta_edges[1:] + theta_edges[:-1])
     sectors = [_sectors(theta, len(phi_edges) - 1) for theta in centres]
     by_phi = {n: _azimuth_weights(n, phi_edges, delta_phi) for n in set(sectors)}
