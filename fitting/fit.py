@@ -55,12 +55,18 @@ def fit(
     Raises
     ------
     InputError
-        Unknown model or objective, or no cell left to fit.
+        Unknown model or objective, an anisotropic model, or no cell left to fit.
     """
     began = time.perf_counter()
     if not max_seconds > 0:
         raise InputError(f"max_seconds: {max_seconds!r}; a positive number is allowed")
     chosen = find_model(model)
+    for lobe in chosen.lobes:
+        if not lobe.isotropic:
+            raise InputError(
+                f"model: {lobe.name} is anisotropic, and the data hold the difference of the azimuths only; "
+                "an isotropic model is needed"
+            )
     samples = data if isinstance(data, Samples) else Samples.of_table(data)
     name = objective or ("chi2" if samples.variance is not None else "ngan_l2")
     weight = weights(samples, name)

@@ -113,7 +113,10 @@ class Fit:
             lobe = find_lobe(fitted.name)
             for index, term in enumerate(lobe.terms):
                 by_channel = fitted.coefficients[term.coefficient]
-                weight = np.array([by_channel[c] for c in self.channels]) ** term.power
+                weight = term.factor(
+                    np.array([by_channel[c] for c in self.channels]),
+                    [fitted.parameters[q.name] for q in lobe.parameters],
+                )
                 if np.any(weight > 0):
                     kinds.append(lobe.kind)
                     shapes.append(lobe.pack(fitted.parameters, (1.0, 0.0) if index == 0 else (0.0, 1.0)))
@@ -254,7 +257,23 @@ def _lobe(entry: Any, where: str, allowed: tuple[Lobe, ...]) -> FittedLobe:
                     f"{where}.coefficients.{name}.{channel}: {value!r}; a number >= 0 is allowed"
                 )
         coefficients[name] = {str(c): float(v) for c, v in values.items()}
+        _converges(lobe, parameters, name, coefficients[name], where)
     return FittedLobe(lobe.name, parameters, coefficients)
+
+
+def _converges(
+    lobe: Lobe, parameters: Mapping[str, float], name: str, values: Mapping[str, float], where: str
+) -> None:
+    """Refuse an albedo whose series of bounces has no sum."""
+    for term in lobe.terms:
+        if term.coefficient == name and term.feedback is not None:
+            back = term.feedback(*parameters.values())
+            for channel, value in values.items():
+                if back * value >= 1.0:
+                    raise InputError(
+                        f"{where}.coefficients.{name}.{channel}: {value!r}; less than {1.0 / back:.4g} is "
+                        "allowed, with more the bounces never end"
+                    )
 
 
 def _is(value: Any, kind: type, where: str, expected: str) -> Any:

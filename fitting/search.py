@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fitting.kernels import normal_equations
 from fitting.linear import Coefficients
-from fitting.models import SHAPE, SIZE, Lobe
+from fitting.models import Lobe
 from fitting.samples import Samples
 
 Array = NDArray[np.float64]
@@ -51,24 +51,24 @@ class Objective:
         self.samples, self.weights, self.levels = samples, weights, levels
         self.coefficients = Coefficients(lobes)
         self.kinds = np.array([lobe.kind for lobe in lobes], np.int64)
-        self.parameters = [(i, j, q) for i, lobe in enumerate(lobes) for j, q in enumerate(lobe.parameters)]
+        self.parameters = [(i, q) for i, lobe in enumerate(lobes) for q in lobe.parameters]
         self.squares = np.einsum("nc,nc,nc->c", weights, samples.values, samples.values)
         self.norm = float(self.squares.sum()) or 1.0
 
     def shapes(self, x: Array) -> Array:
         """Packed lobes, shape (L, SIZE), for the search's variables."""
-        out = np.zeros((len(self.lobes), SIZE))
-        out[:, :SHAPE] = 1.0
-        for u, (i, j, parameter) in zip(x, self.parameters, strict=True):
-            out[i, SHAPE + j] = parameter.from_unit(float(u))
-        return out
+        values: list[dict[str, float]] = [{} for _ in self.lobes]
+        for u, (i, parameter) in zip(x, self.parameters, strict=True):
+            values[i][parameter.name] = parameter.from_unit(float(u))
+        return np.stack([lobe.pack(v) for lobe, v in zip(self.lobes, values, strict=True)])
 
     def solve(self, x: Array) -> tuple[Array, float]:
         """Best coefficients, shape (J, C), and the sum of squares at `x`."""
         grid = self.samples.grid
+        shapes = self.shapes(x)
         parts = normal_equations(
             self.kinds,
-            self.shapes(x),
+            shapes,
             (grid.rows, grid.rings, grid.sectors),
             self.samples.cells,
             self.levels,
@@ -76,13 +76,14 @@ class Objective:
             self.samples.values,
             self.weights,
         )
-        return self.coefficients.solve(parts.sum(axis=0), self.squares)
+        return self.coefficients.solve(parts.sum(axis=0), self.squares, shapes)
 
     def values(self, x: Array, coefficients: Array, levels: int | NDArray[np.int8] | None = None) -> Array:
         """The model's cell averages, shape (N, C)."""
         used = self.levels if levels is None else levels
-        terms = self.samples.terms(self.kinds, self.shapes(x), used)
-        return terms @ self.coefficients.factors(coefficients)
+        shapes = self.shapes(x)
+        terms = self.samples.terms(self.kinds, shapes, used)
+        return terms @ self.coefficients.factors(coefficients, shapes)
 
 
 def coarse(lobes: Sequence[Lobe], samples: Samples, weights: Array) -> Objective:
@@ -115,8 +116,8 @@ def refined(rough: Objective, x: Array, samples: Samples, weights: Array) -> Obj
     if samples.grid.rows.shape[0] == 1:
         return objective
     coefficients, _ = rough.solve(x)
-    factors = rough.coefficients.factors(coefficients)
     shapes = objective.shapes(x)
+    factors = rough.coefficients.factors(coefficients, shapes)
     dimensions = 2 if samples.grid.exact_rows else 3
     tolerance = 1e-10 * objective.norm
     chosen = np.arange(len(samples.cells))

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.grid import LEVELS, Grid
+from fitting.models import find_lobe
 from fitting.models.dispatch import lobe_eval, lobe_pdf, lobe_sample
 from fitting.result import Fit
 from gonio.core.jit import kernel
 from gonio.progress import Report
 from gonio.table.table import Table
+from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -39,7 +41,18 @@ def tabulate(fit: Fit, grid_like: Table | None = None, progress: Report | None =
     -------
     Table
         Without error bars; its albedo is the sum over its own cells.
+
+    Raises
+    ------
+    InputError
+        The model is anisotropic.
     """
+    for lobe in fit.lobes:
+        if not find_lobe(lobe.name).isotropic:
+            raise InputError(
+                f"lobe {lobe.name}: is anisotropic, and a table holds the difference of the azimuths only; "
+                "an isotropic model is needed"
+            )
     if grid_like is None:
         polar = np.linspace(0.0, np.pi / 2, 91)
         azimuth = np.linspace(0.0, np.pi, 181)

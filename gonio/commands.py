@@ -124,9 +124,30 @@ def compress(table: Path, out: Path, max_error: float, as_json: bool) -> None:
     "L1, transmission/L1, ...; `gonio info` names them.",
 )
 def convert(source: Path, target: Path, part: str | None) -> None:
-    """Convert a table between formats, chosen by suffix: .h5, .binary (MERL)."""
-    lost = formats.convert(source, target, part)
-    click.echo(f"{target}: written" + "".join(f"\n  lost: {what}" for what in lost))
+    """Convert a table between formats, chosen by suffix.
+
+    \b
+    In and out:
+      .h5          our own; keeps everything
+      .binary      MERL
+      .bsdf        RGL tensor file; .zemax.bsdf writes Zemax text (content tells them apart in reading)
+      .xml         WINDOW/Radiance, Klems matrix; .tree.xml writes an isotropic tensor tree
+      .csv, .npz   cells with error bars
+    In only:
+      .astm        ASTM E1392
+      .brdf, .anisotropicbsdf  SPEOS
+      .bsdf        LightTools
+      .xompt       OpenMATERIAL 3D
+
+    Says what is lost, and how far the file written, read again, is from the table.
+    """  # noqa: D301
+    done = formats.convert(source, target, part)
+    click.echo(f"{target}: written" + "".join(f"\n  lost: {what}" for what in done.lost))
+    if done.worst > 0:
+        click.echo(
+            f"  error: a row's cosine-weighted RMS {done.error:.2g} (median), {done.worst:.2g} (worst); "
+            f"directional albedo {done.albedo_error:.2g} (mean)"
+        )
 
 
 @click.command()

@@ -1,7 +1,8 @@
 """Fitted and hand-written models as materials: sums of lobes, drawn from as a mixture of exact density.
 
 A lobe is chosen in proportion to its coefficients, the direction from it; the density is that of all
-lobes together. Lobes are drawn from for light that comes from the camera's side: they are reciprocal.
+lobes together. Lobes are drawn from for light that comes from the camera's side: they are reciprocal, and
+so in shape are those that transmit.
 """
 
 from __future__ import annotations
@@ -33,12 +34,13 @@ def analytic_evaluate(lobes, first, count, wi, wo):
         green += w[k, 1] * one + w[k, 4] * two
         blue += w[k, 2] * one + w[k, 5] * two
         density += w[k, 6] * lobe_pdf(lobes.kind[k], lobes.shape[k], wo, wi)
-    return red * wi[2], green * wi[2], blue * wi[2], density
+    cosine = abs(wi[2])
+    return red * cosine, green * cosine, blue * cosine, density
 
 
 @kernel(allocates=False)
 def analytic_sample(lobes, first, count, wo, u0, u1, u2):
-    """As `renderer.materials.sample`, `wo` above the horizon."""
+    """As `renderer.materials.sample`, `wo` above the horizon unless a lobe transmits."""
     k = first
     last = first + count - 1
     while k < last and u0 >= lobes.weight[k, 6]:
@@ -47,9 +49,8 @@ def analytic_sample(lobes, first, count, wo, u0, u1, u2):
     if count == 0:
         return (0.0, 0.0, 1.0), 0.0, 0.0, 0.0, 0.0
     wi = lobe_sample(lobes.kind[k], lobes.shape[k], wo, u1, u2)
-    if wi[2] <= 0.0:
+    # a direction its own lobe has no use for must not count for another
+    if lobe_pdf(lobes.kind[k], lobes.shape[k], wo, wi) <= 0.0:
         return wi, 0.0, 0.0, 0.0, 0.0
     red, green, blue, density = analytic_evaluate(lobes, first, count, wi, wo)
-    if density <= 0.0:
-        return wi, 0.0, 0.0, 0.0, 0.0
     return wi, red / density, green / density, blue / density, density

@@ -3,7 +3,7 @@
 Directions are local, z the shading normal; `wi` points to the light, `wo` to the camera (the detector).
 `evaluate` returns the BRDF times cos(theta_i) of everything but mirror reflection and refraction; `sample`
 draws `wi` for a given `wo` and returns BRDF times cosine over density, mirror terms included. A material
-shows its back black unless it is two-sided or a dielectric.
+shows its back black unless it is two-sided or lets light through.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from renderer.tabulated import tabulated_evaluate, tabulated_sample
 
 KINDS = ("none", "diffuse", "conductor", "rough_conductor", "dielectric", "plastic", "tabulated", "analytic")
 NONE, DIFFUSE, CONDUCTOR, ROUGH_CONDUCTOR, DIELECTRIC, PLASTIC, TABULATED, ANALYTIC = range(len(KINDS))
+TRANSMITTING = len(KINDS)
+"""An analytic material with lobes that let light through."""
 
 
 class Materials(NamedTuple):
@@ -97,6 +99,8 @@ def evaluate(materials, m, wi, wo, memory):
     """
     kind = materials.kind[m]
     values = materials.values
+    if kind == TRANSMITTING:
+        return analytic_evaluate(materials.lobes, materials.first[m], materials.n_lobes[m], wi, wo)
     if materials.two_sided[m] and wo[2] < 0.0:
         wi, wo = (wi[0], wi[1], -wi[2]), (wo[0], wo[1], -wo[2])
     if wi[2] <= 0.0 or wo[2] <= 0.0:
@@ -136,6 +140,8 @@ def sample(materials, m, wo, u0, u1, u2, memory):
     kind = materials.kind[m]
     if kind == DIELECTRIC:
         return _sample_dielectric(materials.values, m, wo, u0)
+    if kind == TRANSMITTING:
+        return analytic_sample(materials.lobes, materials.first[m], materials.n_lobes[m], wo, u0, u1, u2)
     flip = materials.two_sided[m] and wo[2] < 0.0
     if flip:
         wo = (wo[0], wo[1], -wo[2])

@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from fitting.models import SHAPE, SIZE
+from fitting.models import SHAPE, SIZE, find_lobe
 from fitting.result import Fit
 from gonio.core.optics import fresnel_dielectric
 from gonio.table.pool import pool_tables
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 from renderer.analytic import Lobes
-from renderer.materials import KINDS, Materials
+from renderer.materials import KINDS, TRANSMITTING, Materials
 from renderer.scene import Array, Material
 from renderer.spectral import rgb_table, rgb_weights
 
@@ -30,6 +30,7 @@ def pack_materials(materials: Sequence[Material]) -> Materials:
         `renderer.spectral`).
     """
     values = np.zeros((len(materials), 12))
+    kinds = np.zeros(len(materials), np.int64)
     first, count = np.zeros((2, len(materials)), np.int64)
     names: list[str] = []
     tables: list[Table] = []  # as they are given
@@ -37,6 +38,7 @@ def pack_materials(materials: Sequence[Material]) -> Materials:
     for m, material in enumerate(materials):
         if material.kind not in KINDS:
             raise InputError(f"material: unknown kind {material.kind!r}; allowed are {', '.join(KINDS)}")
+        kinds[m] = KINDS.index(material.kind)
         if material.kind in _ROWS:
             entries = _ROWS[material.kind](material)
             values[m, : len(entries)] = entries
@@ -51,8 +53,10 @@ def pack_materials(materials: Sequence[Material]) -> Materials:
             fit: Fit = material.values["fit"]
             lobes.append(_lobes(fit, _name(material)))
             first[m], count[m] = sum(len(part.kind) for part in lobes[:-1]), len(lobes[-1].kind)
+            if any(find_lobe(lobe.name).transmits for lobe in fit.lobes):
+                kinds[m] = TRANSMITTING
     return Materials(
-        np.array([KINDS.index(m.kind) for m in materials], np.int64),
+        kinds,
         np.array([m.two_sided for m in materials], np.int64),
         values,
         first,
@@ -68,6 +72,12 @@ def _name(material: Material) -> str:
 
 def _lobes(fit: Fit, name: str) -> Lobes:
     """A model's lobes; the two terms of one lobe, which a fit lists apart, are evaluated together."""
+    for lobe in fit.lobes:
+        if not find_lobe(lobe.name).isotropic:
+            raise InputError(
+                f"{name}: lobe {lobe.name} is anisotropic, but surfaces of a scene have no direction for its "
+                "x axis; an isotropic lobe is needed"
+            )
     kinds, shapes, weights = fit.terms()
     spectrum = rgb_weights(fit.channels, fit.wavelengths_nm, name)
     if spectrum is not None:

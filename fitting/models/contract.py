@@ -4,26 +4,34 @@ A model is a sum of lobes. A lobe has a few *shape parameters* (a roughness, an 
 *terms*: colourless functions of the shape and the directions, each multiplied by a coefficient per
 channel. f_r = sum over lobes and terms of coefficient ** power x term. The coefficients enter linearly
 (but for the squared albedo of Oren-Nayar's interreflection), so a fit finds them by non-negative least
-squares and searches over the shape only.
+squares and searches over the shape only. A shape parameter is the same in all channels; a metal with an
+index of its own in each is a sum of lobes with one channel each.
 
 Kernels of a lobe, in `fitting/models/<family>.py`, all in the local frame (z up, `wi` to the light, `wo`
 to the detector, tuples of unit length), f_r in 1/sr without cosine:
 
-- ``terms(p, wi, wo) -> (t0, t1)``: the terms, t1 = 0 where there is one only; (0, 0) unless both
-  directions are strictly above the horizon.
+- ``terms(p, wi, wo) -> (t0, t1)``: the terms, t1 = 0 where there is one only. Only called with both
+  directions strictly above the horizon.
 - ``sample(p, wi, u0, u1) -> wo``: a direction drawn for light from `wi` (above the horizon). It may fall
   below the horizon, where the lobe is 0: such a sample is discarded.
 - ``pdf(p, wi, wo)``: the density of `sample`, 1/sr, for `wo` on the whole sphere, where it integrates to 1.
   `dispatch.lobe_pdf` is 0 below the horizon, so it integrates to the share of samples kept.
 
+A lobe that `transmits` takes both directions on either side: `terms` is f_s of any pair (1/sr, without
+cosine), `sample` may refract, and its density integrates to 1 over the sphere.
+
+A family with variants (a choice of shadowing, say) has the same kernels for all, with the variant as the
+first argument.
+
 `p` is a float64 array of length `SIZE` whatever the lobe: p[0] and p[1] are weights of the two terms
-(`evaluate` returns p[0] t0 + p[1] t1), p[2:] the shape parameters in the order of `Lobe.parameters`.
+(`evaluate` returns p[0] t0 + p[1] t1), p[2:] the shape parameters in the order of `Lobe.parameters`, and
+p[DERIVED:] what `Lobe.derive` makes of them, once for each shape instead of once for each direction.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -32,10 +40,15 @@ from numpy.typing import NDArray
 
 from microgeometry.errors import InputError
 
-SIZE = 8
+SIZE = 26
 """Length of a packed lobe."""
 SHAPE = 2
 """Index of the first shape parameter in a packed lobe."""
+DERIVED = 8
+"""Index of the first number derived from them."""
+
+VARIANTS = 64
+"""A lobe's kind is VARIANTS x its family + its variant."""
 
 
 @dataclass(frozen=True)
@@ -76,10 +89,26 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Term:
-    """One basis function's factor: the coefficient of this name, to this power."""
+    """One basis function's factor: c ** power / (1 - feedback c) of the coefficient c of this name.
+
+    Parameters
+    ----------
+    coefficient : str
+    power : int
+        1 or 2.
+    feedback : callable, optional
+        From the shape parameters, in their order, to a number in [0, 1): a series of bounces, each with
+        the coefficient as its albedo, of which that share bounces again. Of a squared coefficient only.
+    """
 
     coefficient: str
     power: int = 1
+    feedback: Callable[..., float] | None = None
+
+    def factor(self, coefficient: NDArray[np.float64], shape: Sequence[float]) -> NDArray[np.float64]:
+        """The factor for coefficients below 1 / feedback, of any shape, at the values of the parameters."""
+        back = 0.0 if self.feedback is None else self.feedback(*shape)
+        return coefficient**self.power / (1.0 - back * coefficient)
 
 
 @dataclass(frozen=True)
@@ -91,15 +120,23 @@ class Lobe:
     name : str
         As in files and reports.
     kind : int
-        What `fitting.models.dispatch` branches on; never reused for another lobe.
+        What `fitting.models.dispatch` branches on: family and variant.
     parameters : tuple of Parameter
-        Shape parameters, at most SIZE - SHAPE.
+        Shape parameters, at most DERIVED - SHAPE.
     terms : tuple of Term
         One or two.
     source : str
         Paper and equation.
     errata : str
-        Where the paper errs or the implementation departs from it; empty if nowhere.
+        Where the paper errs or the implementation departs from it, whether and by how much it creates
+        energy; empty if nowhere. All lobes are reciprocal.
+    isotropic : bool
+        Whether only the difference of the azimuths matters. An anisotropic lobe's x axis is the direction
+        along the surface that its parameters name; a table of an isotropic surface cannot tell them.
+    transmits : bool
+        Whether light goes through, with `wi` and `wo` on different sides.
+    derive : callable, optional
+        From the values of the parameters, in their order, to at most SIZE - DERIVED numbers.
     """
 
     name: str
@@ -108,6 +145,9 @@ class Lobe:
     terms: tuple[Term, ...]
     source: str
     errata: str = ""
+    isotropic: bool = True
+    transmits: bool = False
+    derive: Callable[..., NDArray[np.float64]] | None = None
 
     @property
     def coefficients(self) -> tuple[str, ...]:
@@ -122,6 +162,9 @@ class Lobe:
         p[:SHAPE] = weights
         for index, parameter in enumerate(self.parameters):
             p[SHAPE + index] = values[parameter.name]
+        if self.derive is not None:
+            derived = self.derive(*p[SHAPE : SHAPE + len(self.parameters)])
+            p[DERIVED : DERIVED + len(derived)] = derived
         return p
 
 

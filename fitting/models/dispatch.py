@@ -7,25 +7,40 @@ from __future__ import annotations
 
 import numpy as np
 
-from fitting.models import ashikhmin_shirley, cook_torrance, lambert, oren_nayar
+from fitting.models import (
+    ashikhmin_shirley,
+    cook_torrance,
+    eon,
+    hanrahan_krueger,
+    lambert,
+    modified_phong,
+    oren_nayar,
+    schlick,
+    walter,
+    ward,
+)
+from fitting.models.contract import VARIANTS
 from gonio.core.jit import kernel
 
-# Kernels take global integers and functions, not attributes of objects.
-_LAMBERT = lambert.LOBE.kind
-_OREN_NAYAR = oren_nayar.LOBE.kind
-_BECKMANN = cook_torrance.BECKMANN.kind
-_GGX = cook_torrance.GGX.kind
-_V_CAVITY = cook_torrance.V_CAVITY.kind
-_AS_SPECULAR = ashikhmin_shirley.SPECULAR.kind
-_AS_DIFFUSE = ashikhmin_shirley.DIFFUSE.kind
-
-_lambert_terms, _cosine_sample, _cosine_pdf = lambert.terms, lambert.sample, lambert.pdf
-_oren_nayar_terms = oren_nayar.terms
-_beckmann_terms, _ggx_terms = cook_torrance.beckmann_terms, cook_torrance.ggx_terms
-_v_cavity_terms = cook_torrance.v_cavity_terms
-_ggx_sample, _ggx_pdf = cook_torrance.sample, cook_torrance.pdf
-_as_terms, _as_diffuse_terms = ashikhmin_shirley.terms, ashikhmin_shirley.diffuse_terms
+# Kernels take global integers and functions, not attributes of modules.
+_VARIANTS = VARIANTS
+_LAMBERT, _lambert_terms = lambert.FAMILY, lambert.terms
+_cosine_sample, _cosine_pdf = lambert.sample, lambert.pdf
+_OREN_NAYAR, _oren_nayar_terms = oren_nayar.FAMILY, oren_nayar.terms
+_EON, _eon_terms, _eon_sample, _eon_pdf = eon.FAMILY, eon.terms, eon.sample, eon.pdf
+_COOK_TORRANCE, _ct_terms = cook_torrance.FAMILY, cook_torrance.terms
+_ct_sample, _ct_pdf = cook_torrance.sample, cook_torrance.pdf
+_ASHIKHMIN_SHIRLEY, _as_terms = ashikhmin_shirley.FAMILY, ashikhmin_shirley.terms
 _as_sample, _as_pdf = ashikhmin_shirley.sample, ashikhmin_shirley.pdf
+_AS_DIFFUSE = ashikhmin_shirley.DIFFUSE.kind
+_WARD, _ward_terms, _ward_sample, _ward_pdf = ward.FAMILY, ward.terms, ward.sample, ward.pdf
+_SCHLICK, _schlick_terms = schlick.FAMILY, schlick.terms
+_schlick_sample, _schlick_pdf = schlick.sample, schlick.pdf
+_PHONG, _phong_terms = modified_phong.FAMILY, modified_phong.terms
+_phong_sample, _phong_pdf = modified_phong.sample, modified_phong.pdf
+_WALTER, _walter_terms = walter.FAMILY, walter.terms
+_walter_sample, _walter_pdf = walter.sample, walter.pdf
+_HANRAHAN_KRUEGER, _hk_terms = hanrahan_krueger.FAMILY, hanrahan_krueger.terms
 
 
 @kernel(allocates=False)
@@ -44,22 +59,31 @@ def lobe_terms(kind, p, wi, wo):
     Returns
     -------
     tuple of 2 float
-        Both 0 unless both directions are above the horizon, and for an unknown kind.
+        Both 0 unless both directions are above the horizon or the lobe transmits, and for an unknown kind.
     """
-    if kind == _LAMBERT:
+    family, variant = kind // _VARIANTS, kind % _VARIANTS
+    if family == _WALTER:
+        return _walter_terms(variant, p, wi, wo)
+    if wi[2] <= 0.0 or wo[2] <= 0.0:
+        return 0.0, 0.0
+    if family == _LAMBERT:
         return _lambert_terms(p, wi, wo)
-    if kind == _OREN_NAYAR:
-        return _oren_nayar_terms(p, wi, wo)
-    if kind == _BECKMANN:
-        return _beckmann_terms(p, wi, wo)
-    if kind == _GGX:
-        return _ggx_terms(p, wi, wo)
-    if kind == _V_CAVITY:
-        return _v_cavity_terms(p, wi, wo)
-    if kind == _AS_SPECULAR:
-        return _as_terms(p, wi, wo)
-    if kind == _AS_DIFFUSE:
-        return _as_diffuse_terms(p, wi, wo)
+    if family == _COOK_TORRANCE:
+        return _ct_terms(variant, p, wi, wo)
+    if family == _OREN_NAYAR:
+        return _oren_nayar_terms(variant, p, wi, wo)
+    if family == _EON:
+        return _eon_terms(p, wi, wo)
+    if family == _ASHIKHMIN_SHIRLEY:
+        return _as_terms(variant, p, wi, wo)
+    if family == _WARD:
+        return _ward_terms(variant, p, wi, wo)
+    if family == _SCHLICK:
+        return _schlick_terms(variant, p, wi, wo)
+    if family == _PHONG:
+        return _phong_terms(p, wi, wo)
+    if family == _HANRAHAN_KRUEGER:
+        return _hk_terms(p, wi, wo)
     return 0.0, 0.0
 
 
@@ -74,13 +98,24 @@ def lobe_eval(kind, p, wi, wo):
 def lobe_sample(kind, p, wi, u0, u1):
     """A direction `wo` for light from `wi`, from two uniform numbers in (0, 1).
 
-    It may fall below the horizon, where lobe and density are 0: a sample to be discarded. `wi` must be
-    above it.
+    Where `lobe_pdf` is 0, below the horizon of a lobe that does not transmit, it is a sample to be
+    discarded. `wi` must be above the horizon, of such a lobe.
     """
-    if kind in (_BECKMANN, _GGX, _V_CAVITY):
-        return _ggx_sample(p, wi, u0, u1)
-    if kind == _AS_SPECULAR:
-        return _as_sample(p, wi, u0, u1)
+    family, variant = kind // _VARIANTS, kind % _VARIANTS
+    if family == _COOK_TORRANCE:
+        return _ct_sample(variant, p, wi, u0, u1)
+    if family == _EON:
+        return _eon_sample(p, wi, u0, u1)
+    if family == _ASHIKHMIN_SHIRLEY and kind != _AS_DIFFUSE:
+        return _as_sample(variant, p, wi, u0, u1)
+    if family == _WARD:
+        return _ward_sample(variant, p, wi, u0, u1)
+    if family == _SCHLICK:
+        return _schlick_sample(variant, p, wi, u0, u1)
+    if family == _PHONG:
+        return _phong_sample(p, wi, u0, u1)
+    if family == _WALTER:
+        return _walter_sample(variant, p, wi, u0, u1)
     return _cosine_sample(p, wi, u0, u1)
 
 
@@ -88,14 +123,26 @@ def lobe_sample(kind, p, wi, u0, u1):
 def lobe_pdf(kind, p, wi, wo):
     """Density of `lobe_sample` at `wo`, 1/sr.
 
-    0 unless both directions are above the horizon: it integrates to the share of samples that are.
+    0 unless both directions are above the horizon or the lobe transmits: it integrates to the share of
+    samples that are of use.
     """
+    family, variant = kind // _VARIANTS, kind % _VARIANTS
+    if family == _WALTER:
+        return _walter_pdf(variant, p, wi, wo)
     if wi[2] <= 0.0 or wo[2] <= 0.0:
         return 0.0
-    if kind in (_BECKMANN, _GGX, _V_CAVITY):
-        return _ggx_pdf(p, wi, wo)
-    if kind == _AS_SPECULAR:
-        return _as_pdf(p, wi, wo)
+    if family == _COOK_TORRANCE:
+        return _ct_pdf(variant, p, wi, wo)
+    if family == _EON:
+        return _eon_pdf(p, wi, wo)
+    if family == _ASHIKHMIN_SHIRLEY and kind != _AS_DIFFUSE:
+        return _as_pdf(variant, p, wi, wo)
+    if family == _WARD:
+        return _ward_pdf(variant, p, wi, wo)
+    if family == _SCHLICK:
+        return _schlick_pdf(variant, p, wi, wo)
+    if family == _PHONG:
+        return _phong_pdf(p, wi, wo)
     return _cosine_pdf(p, wi, wo)
 
 

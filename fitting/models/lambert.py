@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 
-from fitting.models.contract import Lobe, Term
+from fitting.models.contract import VARIANTS, Lobe, Term
 from gonio.core.directions import cosine_hemisphere
 from gonio.core.jit import kernel
 
+FAMILY = 0
 _INV_PI = 1.0 / math.pi
 
 LOBE = Lobe(
     name="lambert",
-    kind=0,
+    kind=VARIANTS * FAMILY,
     parameters=(),
     terms=(Term("albedo"),),
     source="J. H. Lambert, Photometria, 1760",
@@ -22,8 +23,6 @@ LOBE = Lobe(
 @kernel(allocates=False)
 def terms(p, wi, wo):
     """1/pi; see `fitting.models.contract`."""
-    if wi[2] <= 0.0 or wo[2] <= 0.0:
-        return 0.0, 0.0
     return _INV_PI, 0.0
 
 

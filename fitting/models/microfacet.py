@@ -4,25 +4,11 @@ from __future__ import annotations
 
 import math
 
-from gonio.core.directions import half_vector
+from gonio.core.directions import dot
 from gonio.core.jit import kernel
 
 _INV_PI = 1.0 / math.pi
 _SQRT_PI = math.sqrt(math.pi)
-
-
-@kernel(allocates=False)
-def dot(a, b):
-    """Scalar product of two directions."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@kernel(allocates=False)
-def schlick_weight(cos_i):
-    """(1 - cos)^5, the share of F90 in Schlick's Fresnel term (Schlick 1994, eq. 15)."""
-    x = min(1.0, max(0.0, 1.0 - cos_i))
-    x2 = x * x
-    return x2 * x2 * x
 
 
 @kernel(allocates=False)
@@ -50,35 +36,43 @@ def ggx(alpha, wm):
 
 
 @kernel(allocates=False)
-def beckmann_lambda(alpha, w):
-    """Smith's Lambda of Beckmann facets, exact (Heitz 2014, table 1; not Walter's rational fit).
+def beckmann_hidden(alpha, w):
+    """Smith's Lambda x cos of Beckmann facets, exact (Heitz 2014, table 1; not Walter's rational fit).
 
+    Lambda cos is the projected area of the facets that face away from `w`, finite at the horizon; Lambda =
     (exp(-a^2)/(a sqrt(pi)) - erfc(a)) / 2 with a = 1/(alpha tan(theta)).
     """
-    sin2 = w[0] * w[0] + w[1] * w[1]
-    if sin2 == 0.0:
+    width = alpha * math.sqrt(w[0] * w[0] + w[1] * w[1])
+    if w[2] > 6.0 * width:  # Lambda < 1e-18
         return 0.0
-    a = abs(w[2]) / (alpha * math.sqrt(sin2))
-    if a > 6.0:  # Lambda < 1e-18
-        return 0.0
-    if a == 0.0:
-        return math.inf
-    return 0.5 * (math.exp(-a * a) / (a * _SQRT_PI) - math.erfc(a))
+    a = w[2] / width
+    return 0.5 * (width * math.exp(-a * a) / _SQRT_PI - w[2] * math.erfc(a))
 
 
 @kernel(allocates=False)
-def ggx_root(alpha, cos_theta):
-    """sqrt(cos^2 + alpha^2 sin^2), in which GGX's Lambda is (root/cos - 1)/2 (Heitz 2014, eq. 72)."""
+def ggx_hidden(alpha, cos_theta):
+    """Smith's Lambda x cos of GGX facets: (sqrt(cos^2 + alpha^2 sin^2) - cos)/2 (Heitz 2014, eq. 72)."""
     cos2 = cos_theta * cos_theta
-    return math.sqrt(cos2 + alpha * alpha * (1.0 - cos2))
+    return 0.5 * (math.sqrt(cos2 + alpha * alpha * (1.0 - cos2)) - cos_theta)
 
 
 @kernel(allocates=False)
-def sample_visible_ggx(alpha, wi, u0, u1):
-    """Reflection of `wi` (above the horizon) off a visible GGX normal (Heitz 2018, JCGT 7(4), listing 1).
+def reflect(w, wm):
+    """Mirror direction of `w` at a facet of normal `wm`."""
+    d = 2.0 * dot(w, wm)
+    return d * wm[0] - w[0], d * wm[1] - w[1], d * wm[2] - w[2]
 
-    May point below the horizon.
-    """
+
+@kernel(allocates=False)
+def normal_of_tangent(x, y):
+    """The normal of a facet whose slopes are -x and -y, along (x, y, 1)."""
+    scale = 1.0 / math.sqrt(1.0 + x * x + y * y)
+    return x * scale, y * scale, scale
+
+
+@kernel(allocates=False)
+def visible_ggx(alpha, wi, u0, u1):
+    """A GGX normal as seen from `wi` (above the horizon) (Heitz 2018, JCGT 7(4), listing 1)."""
     # stretch to the hemisphere of alpha = 1
     x, y, z = alpha * wi[0], alpha * wi[1], wi[2]
     length = math.sqrt(x * x + y * y + z * z)
@@ -103,15 +97,14 @@ def sample_visible_ggx(alpha, wi, u0, u1):
     mz = max(0.0, b * t2z + c * z)
     length = math.sqrt(mx * mx + my * my + mz * mz)
     if length == 0.0:
-        return -wi[0], -wi[1], wi[2]
-    wm = (mx / length, my / length, mz / length)
-    d = 2.0 * dot(wi, wm)
-    return d * wm[0] - wi[0], d * wm[1] - wi[1], d * wm[2] - wi[2]
+        return 0.0, 0.0, 1.0
+    return mx / length, my / length, mz / length
 
 
 @kernel(allocates=False)
-def visible_ggx_pdf(alpha, wi, wo):
-    """Density of `sample_visible_ggx`, 1/sr: D G1(wi) / (4 cos_i), written without a division by cos_i."""
-    if wi[2] <= 0.0:
-        return 0.0
-    return ggx(alpha, half_vector(wi, wo)) / (2.0 * (wi[2] + ggx_root(alpha, wi[2])))
+def visible_ggx_pdf(alpha, wi, wm):
+    """D G1(wi) / (4 cos_i), 1/sr: density of the reflection of `wi` off a `wm` drawn by `visible_ggx`.
+
+    Times 4 wi.wm it is the density of the normal.
+    """
+    return ggx(alpha, wm) / (4.0 * (wi[2] + ggx_hidden(alpha, wi[2])))

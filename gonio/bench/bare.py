@@ -61,7 +61,9 @@ def trace_mirror(embree, box, theta, phi, sin_i, strata, first, last, seed, cell
         Reflected, of these in the mirror direction, killed, lost; rays.
     """
     bounces = np.zeros(PACKET_WIDTH, np.int64)
-    _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, ledger, new_packet(), bounces)
+    own = np.zeros(5)  # apart: threads that write to one cache line wait for each other
+    _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, own, new_packet(), bounces)
+    ledger += own
 
 
 @kernel(allocates=False)

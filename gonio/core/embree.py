@@ -317,11 +317,11 @@ def _padded(vertices: NDArray) -> NDArray[np.float32]:
 if jit.disabled:
     _PROTOTYPES = {n: ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * n) for n in (3, 4)}
 
-    def _call3(address, a, b, c):
-        _PROTOTYPES[3](address)(a, b, c)
+    def _call3(address, *words):
+        _PROTOTYPES[3](address)(*map(int, words))
 
-    def _call4(address, a, b, c, d):
-        _PROTOTYPES[4](address)(a, b, c, d)
+    def _call4(address, *words):
+        _PROTOTYPES[4](address)(*map(int, words))
 
 else:
     from llvmlite import ir

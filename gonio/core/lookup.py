@@ -37,6 +37,9 @@ def find(axis, x):
     bucket = max(0, min(bucket, axis.first.shape[0] - 1))
     i = axis.first[bucket]
     last = axis.edges.shape[0] - 2
+    # two steps without a branch: which of them it takes is chance, and no processor guesses it
+    i = min(i + (axis.edges[i + 1] <= x), last)
+    i = min(i + (axis.edges[i + 1] <= x), last)
     while i < last and axis.edges[i + 1] <= x:
         i += 1
     return i

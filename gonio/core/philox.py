@@ -19,7 +19,7 @@ _LOW = np.uint64(0xFFFFFFFF)
 _32 = np.uint64(32)
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inline=True)
 def philox4x32(c0, c1, c2, c3, k0, k1):
     """Ten rounds of Philox4x32 on one counter.
 
@@ -53,13 +53,13 @@ def philox4x32(c0, c1, c2, c3, k0, k1):
     return x0, x1, x2, x3
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inline=True)
 def unit(word):
     """Map a 32-bit word to the centre of one of 2**32 intervals of (0, 1): never 0, never 1."""
     return (np.float64(word) + 0.5) * 2.3283064365386963e-10
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inline=True)
 def uniforms(c0, c1, c2, c3, k0, k1):
     """Four numbers uniform in (0, 1) for one counter and key; arguments as `philox4x32`."""
     x0, x1, x2, x3 = philox4x32(c0, c1, c2, c3, k0, k1)

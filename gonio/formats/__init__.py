@@ -1,16 +1,20 @@
-"""BRDF files, one module a format, chosen by the file's suffix.
+"""BRDF files, one module a format, chosen by the file's suffix, and by its content where suffixes are shared.
 
-A format is a module with ``read(path) -> Table`` and ``write(table, path) -> list[str]``, which returns
-what the format could not keep, and one line in `FORMATS`.
+A format is a module with ``read(path) -> Table`` and, where it can be written, ``write(table, path) ->
+list[str]``, which returns what the format could not keep, and one line in `FORMATS`. What reading loses
+(rotations of the sample averaged, say) stands in the table's provenance under ``lost``.
 """
 
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from gonio.table.parts import extract
 from microgeometry.errors import InputError
@@ -18,11 +22,44 @@ from microgeometry.errors import InputError
 if TYPE_CHECKING:
     from gonio.table.table import Table
 
-FORMATS = {
-    ".h5": "gonio.formats.hdf5",
-    ".binary": "gonio.formats.merl",
+FORMATS: dict[str, tuple[str, ...]] = {
+    ".h5": ("hdf5",),
+    ".binary": ("merl",),
+    ".bsdf": ("rgl", "zemax", "lighttools"),
+    ".xml": ("radiance_xml",),
+    ".csv": ("csv",),
+    ".npz": ("npz",),
+    ".brdf": ("speos",),
+    ".anisotropicbsdf": ("speos",),
+    ".astm": ("astm",),
+    ".xompt": ("openmaterial",),
 }
-"""Suffix to module; imported when first needed."""
+"""Suffix to modules; the first is written, and read unless the content says otherwise (`_by_content`)."""
+
+_TEXT = ("zemax", "lighttools")
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """What a conversion cost.
+
+    Parameters
+    ----------
+    lost : tuple of str
+        What the target could not keep, and what reading the source lost, one sentence each.
+    error : float
+        Relative, cosine-weighted RMS difference between the file written, read again, and the table it was
+        written from: median over rows and channels. 0 for a format that keeps everything.
+    worst : float
+        The largest of any row and channel.
+    albedo_error : float
+        Mean relative difference of the directional albedo without delta term.
+    """
+
+    lost: tuple[str, ...]
+    error: float = 0.0
+    worst: float = 0.0
+    albedo_error: float = 0.0
 
 
 def read(path: str | os.PathLike[str]) -> Table:
@@ -34,10 +71,18 @@ def read(path: str | os.PathLike[str]) -> Table:
         The file is missing, of an unknown suffix, damaged or not a table.
     """
     path = Path(path)
-    module = _module(path)
+    names = _names(path)
     if not path.is_file():
         raise InputError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
-    return module.read(path)
+    module = _module(_by_content(path, names))
+    try:
+        # numbers beyond floating point become infinite, which a table refuses
+        with np.errstate(over="ignore", invalid="ignore"):
+            return module.read(path)
+    except InputError as error:
+        text = str(error) if str(path) in str(error) else f"{path}: {error}"
+        # what is quoted from a damaged file may hold anything
+        raise InputError("".join(c if c.isprintable() else " " for c in text)) from error
 
 
 def write(table: Table, path: str | os.PathLike[str]) -> list[str]:
@@ -47,30 +92,39 @@ def write(table: Table, path: str | os.PathLike[str]) -> list[str]:
     -------
     list of str
         What was lost, one sentence each; empty for .h5.
+
+    Raises
+    ------
+    InputError
+        The suffix is unknown or of a format that is only read, or the format cannot hold such a table.
+    OSError
+        The file cannot be written.
     """
-    return _module(Path(path)).write(table, Path(path))
+    return _writer(Path(path)).write(table, Path(path))
 
 
 def convert(
-    source: str | os.PathLike[str], target: str | os.PathLike[str], part: str | None = None
-) -> list[str]:
-    """Read one format and write another, both chosen by suffix.
+    source: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    part: str | None = None,
+) -> Conversion:
+    """Read one format and write another, both chosen by suffix, and measure what that changed.
 
     Parameters
     ----------
     source, target : path
+        A target `.bsdf` is an RGL tensor file, or `.zemax.bsdf` for Zemax text.
     part : str, optional
         Write only this part, as a table of its own: "transmission", "L1", "transmission/L1".
 
     Returns
     -------
-    list of str
-        What was lost in writing.
+    Conversion
 
     Raises
     ------
     InputError
-        As `read`; an unknown suffix, a missing folder, or no such part.
+        As `read` and `write`; a missing folder, or no such part.
     """
     check_target(target)
     table = read(source)
@@ -79,25 +133,87 @@ def convert(
             table = extract(table, part)
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
-    return write(table, target)
+    before = tuple(table.provenance.get("lost", ()))
+    lost = (*before, *write(table, target))
+    if Path(target).suffix.lower() == ".h5":
+        return Conversion(lost)
+    return Conversion(lost, *_compare(table, read(target)))
 
 
 def check_target(path: str | os.PathLike[str]) -> None:
-    """Fail now rather than after a long run: is `path` of a known format, in a folder that exists?
+    """Fail now rather than after a long run: can `path` be written, in a folder that exists?
 
     Raises
     ------
     InputError
-        The suffix is unknown or the folder missing.
+        The suffix is unknown or of a format that is only read, or the folder is missing.
     """
     path = Path(path)
-    _module(path)
+    _writer(path)
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
 
 
-def _module(path: Path) -> ModuleType:
+def _names(path: Path) -> tuple[str, ...]:
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise InputError(f"{path}: unknown suffix {suffix!r}; allowed are {', '.join(FORMATS)}")
-    return import_module(FORMATS[suffix])
+    return FORMATS[suffix]
+
+
+def _module(name: str) -> ModuleType:
+    return import_module(f"gonio.formats.{name}")
+
+
+def _writer(path: Path) -> ModuleType:
+    """The module that writes such a file."""
+    names = _names(path)
+    asked = path.with_suffix("").suffix[1:].lower()  # table.zemax.bsdf
+    module = _module(asked if asked in names else names[0])
+    if not hasattr(module, "write"):
+        writable = [s for s, (first, *_) in FORMATS.items() if hasattr(_module(first), "write")]
+        raise InputError(f"{path}: this format is only read; written are {', '.join(writable)}")
+    return module
+
+
+def _by_content(path: Path, names: tuple[str, ...]) -> str:
+    """Which of the formats that share a suffix a file is of."""
+    if len(names) == 1:
+        return names[0]
+    with open(path, "rb") as file:
+        start = file.read(1 << 16)
+    if start.startswith(b"tensor_file\0"):
+        return "rgl"
+    # comments may stand in front; LightTools alone has an angle of incidence in each block
+    return "lighttools" if any(line.lstrip().startswith(b"AOI") for line in start.splitlines()) else "zemax"
+
+
+def _compare(table: Table, again: Table) -> tuple[float, float, float]:
+    """Median and worst relative RMS difference of rows, and mean relative difference of albedos.
+
+    Evaluated at the centres of the table's cells, known ones, in at most 16 rows. Where the numbers of
+    channels differ, means over channels are compared.
+    """
+    from gonio.core.directions import direction
+
+    rows = np.unique(np.linspace(0, len(table.theta_i) - 1, 16).round().astype(int))
+    wo = direction(table.theta_r[:, None], table.delta_phi)
+    same = len(table.channels) == len(again.channels)
+    albedos, errors = [], []
+    for row in rows:
+        wi = direction(table.theta_i[row])
+        known = np.ones(wo.shape[:2]) if table.gaps is None else ~table.gaps[row]
+        weight = (table.projected_solid_angles * known)[..., None]
+        before, after = table.eval(wi, wo), again.eval(wi, wo)
+        if not same:
+            before, after = before.mean(axis=-1, keepdims=True), after.mean(axis=-1, keepdims=True)
+        norm = np.sum(weight * before**2, axis=(0, 1))
+        difference = np.sum(weight * (after - before) ** 2, axis=(0, 1))
+        lit = norm > 0
+        errors.append(np.sqrt(difference[lit] / norm[lit]))
+        a, b = np.sum(weight * before, axis=(0, 1)), np.sum(weight * after, axis=(0, 1))
+        albedos.append(np.abs(b[lit] / a[lit] - 1))
+    flat, albedo = np.concatenate(errors), np.concatenate(albedos)
+    if flat.size == 0:
+        return 0.0, 0.0, 0.0
+    return float(np.median(flat)), float(flat.max()), float(albedo.mean())

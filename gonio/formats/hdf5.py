@@ -16,6 +16,7 @@ Version 1.1 added parts.
 from __future__ import annotations
 
 import json
+import mmap
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -61,6 +62,7 @@ _DATA: dict[str, tuple[tuple[str, ...], str]] = {
 _OPTIONAL = {"theta_i_edges", "std_error", "hits", "gaps", "wavelengths_nm"}
 # Deflate cannot shrink more than this; a dataset that claims more is damaged or hostile.
 _MAX_RATIO = 1100
+_HEAP = b"GCOL\x01\0\0\0"
 _MAX_DEPTH = 8  # of parts in parts: in a damaged file a group may hold itself
 
 
@@ -109,6 +111,7 @@ def read(path: Path) -> Table:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file")
+    _check_heaps(path)
     try:
         with h5py.File(path, "r") as file:
             _check_format(file, path)
@@ -116,7 +119,7 @@ def read(path: Path) -> Table:
     except InputError as error:
         text = str(error)
         raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
-    except (OSError, KeyError, RuntimeError) as error:
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:  # also text that is not UTF-8
         with open(path, "rb") as raw:
             signed = raw.read(8) == b"\x89HDF\r\n\x1a\n"
         if not signed:
@@ -130,6 +133,31 @@ def read(path: Path) -> Table:
 
 
 Compressed = Mapping[str, Mapping[str, Any]]
+
+
+def _check_heaps(path: Path) -> None:
+    """Refuse a damaged heap of texts in which the HDF5 library (2.0) would turn in circles for ever.
+
+    A collection is "GCOL", version, size and objects: index, references, size, content. An object of index
+    0 is free space, whose size includes its own header; with a smaller one the library never moves on.
+    """
+    if path.stat().st_size == 0:
+        return
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        start = data.find(_HEAP)
+        while start >= 0:
+            at = start + 16
+            end = start + int.from_bytes(data[start + 8 : at], "little")
+            while at + 16 <= min(end, len(data)):
+                size = int.from_bytes(data[at + 8 : at + 16], "little")
+                free = data[at : at + 2] == b"\0\0"
+                if free and size < 16:
+                    raise InputError(
+                        f"{path}: damaged HDF5 file (a heap object of {size} bytes at byte {at}); copy or trace "
+                        "it again"
+                    )
+                at += size if free else 16 + (size + 7) // 8 * 8
+            start = data.find(_HEAP, start + 1)
 
 
 def _write(group: h5py.Group, table: Table, compressed: Compressed | None, path: str = "") -> None:

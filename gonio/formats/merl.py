@@ -11,6 +11,7 @@ averages them. Light and detector are `wi` and `wo` in the order of MERL's own r
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -105,15 +106,33 @@ def write(table: Table, path: Path) -> list[str]:
             f"{path}: MERL holds R, G and B, the table has {n_channels} channels {table.channels}; "
             "select or convert to three first"
         )
-    wi, wo = bin_directions()
     # A bin is read for light and detector exchanged as well
-    values = 0.5 * (table.eval(wi, wo) + table.eval(wo, wi))
-    below = (wi[:, 2] <= 0) | (wo[:, 2] <= 0)
-    stored = np.where(below[:, None], -1.0, values / FACTORS)
+    write_function(lambda wi, wo: 0.5 * (table.eval(wi, wo) + table.eval(wo, wi)), path)
+    return _lost(table)
+
+
+def write_function(brdf: Callable[[Array, Array], Array], path: Path) -> None:
+    """Write any BRDF on MERL's own grid: a file of 34 992 012 bytes.
+
+    Parameters
+    ----------
+    brdf : callable
+        From directions to light and detector, shape (N, 3) each, both above the horizon, to f in 1/sr, shape
+        (N, 3) or (N, 1): R, G, B or grey.
+    path : Path
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    wi, wo = bin_directions()
+    above = (wi[:, 2] > 0) & (wo[:, 2] > 0)
+    stored = np.full((len(wi), 3), -1.0)
+    stored[above] = brdf(wi[above], wo[above]) / FACTORS
     with atomic(path) as temporary, open(temporary, "wb") as file:
         np.array([N_THETA_H, N_THETA_D, N_PHI_D], "<i4").tofile(file)
         stored.T.astype("<f8").tofile(file)
-    return _lost(table)
 
 
 def half_difference(theta_i: Array | float, theta_r: Array, delta_phi: Array) -> tuple[Array, Array, Array]:

@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.core.directions import cos_delta_phi
-from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, PACKET_WIDTH, new_packet, new_ray
+from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, HIT_U, HIT_V, PACKET_WIDTH, new_packet, new_ray
 from gonio.core.jit import kernel
 from gonio.core.lookup import Axis, find
 from gonio.core.philox import uniforms
@@ -106,20 +105,23 @@ def trace_surface(
     weight = np.empty((PACKET_WIDTH, samples))
     polarisation = None if eta_k is None else np.empty((PACKET_WIDTH, samples, 3))
     axis = None if eta_k is None else np.empty((PACKET_WIDTH, 3))
+    retreat = np.empty((3, PACKET_WIDTH), np.float32)
     bounces = np.zeros(PACKET_WIDTH, np.int64)
     status = np.zeros(PACKET_WIDTH, np.int64)
     absorbed = np.zeros(samples)
+    own = _own(sums)
     _trace_packets(
-        embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
-        new_packet(), weight, polarisation, axis, bounces, status, absorbed,
+        embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, own,
+        new_packet(), weight, polarisation, axis, retreat, bounces, status, absorbed,
     )  # fmt: skip
+    _add(own, sums)
 
 
 # apart from its caller, so that numba counts no references to arrays in the loop
 @kernel(allocates=False)
 def _trace_packets(
     embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
-    packet, weight, polarisation, axis, bounces, status, absorbed,
+    packet, weight, polarisation, axis, retreat, bounces, status, absorbed,
 ):  # fmt: skip
     packets = part.strata_x * part.strata_y
     dx = box.width_x / (4 * part.strata_x)
@@ -127,21 +129,24 @@ def _trace_packets(
     for k in range(part.first, part.last):
         path = (beam.row * packets + k) * PACKET_WIDTH
         u, v, _, _ = uniforms(path, path >> 32, 0, 1, seed, batch)
-        wi = _incident(beam, u, v)
+        wi, azimuth = _incident(beam, u, v)
         i, j = morton(k)
         start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, batch, path)
         mirror_x, mirror_y = packet[DIR_X, 0], packet[DIR_Y, 0]
         sums.ledger[RAYS] += trace_packet(
             embree, box, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path,
-            weight, polarisation, axis, bounces, status, absorbed,
+            weight, polarisation, axis, retreat, bounces, status, absorbed,
         )  # fmt: skip
+        _exit(packet, azimuth)
         for lane in range(PACKET_WIDTH):
-            x, y, z = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
+            x, y = packet[DIR_X, lane], packet[DIR_Y, lane]
             # a facet parallel to the macroscopic plane leaves these two components untouched, to the bit;
             # no other path ends so but by a chance of 1e-14
             delta = albedo is None and x == mirror_x and y == mirror_y
-            wo = (float(x), float(y), float(z))
-            _count(to_channels, bins, sums, wi, wo, status[lane], bounces[lane], delta, weight[lane])
+            _count(
+                to_channels, bins, sums, packet[HIT_U, lane], packet[HIT_V, lane], status[lane], bounces[lane],
+                delta, weight[lane],
+            )  # fmt: skip
     for sample in range(absorbed.shape[0]):
         sums.ledger[ABSORBED_COLUMN] += bins.share[sample] * absorbed[sample]
 
@@ -164,11 +169,13 @@ def trace_stack(
         As in `trace_surface`.
     """
     samples = bins.share.shape[0]
+    own = _own(sums)
     _trace_paths(
-        zones, facets, tables, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
+        zones, facets, tables, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, own,
         new_ray(), np.empty((samples, 4)), np.empty(samples), np.empty((SCRATCH_ROWS, samples)),
         np.zeros(sums.ledger.shape[0] - LEDGER_COLUMNS),
     )  # fmt: skip
+    _add(own, sums)
 
 
 @kernel(allocates=False)
@@ -194,7 +201,7 @@ def _trace_paths(
             x = (4 * i + lane // 4 + u) * dx + width_x * math.floor(a * _PERIODS)
             y = (4 * j + lane % 4 + v) * dy + width_y * math.floor(b * _PERIODS)
             u, v, _, _ = uniforms(path, path >> 32, 0, 1, seed, batch)
-            wi = _incident(beam, u, v)
+            wi, azimuth = _incident(beam, u, v)
             status, wo, bounces, straight, rays = trace_path(
                 zones, facets, tables, media, bins.share, polarised, (-wi[0], -wi[1], -wi[2]), x, y,
                 max_bounces, seed, batch, path, ray, light, scratch, absorbed,
@@ -202,24 +209,64 @@ def _trace_paths(
             sums.ledger[RAYS] += rays
             for s in range(weight.shape[0]):
                 weight[s] = light[s, 0]
-            _count(to_channels, bins, sums, wi, wo, status, bounces, straight, weight)
+            sin2, cosine = _coordinates(wo[0], wo[1], wo[2], azimuth)
+            _count(to_channels, bins, sums, sin2, cosine, status, bounces, straight, weight)
     for column in range(absorbed.shape[0]):
         sums.ledger[LEDGER_COLUMNS + column] += absorbed[column]
         sums.ledger[ABSORBED_COLUMN] += absorbed[column]
 
 
+@kernel
+def _own(sums):
+    """Sums for one thread; the short ones apart, for threads that write to one cache line wait for each other."""
+    return Sums(
+        sums.cells, np.zeros_like(sums.specular), np.zeros_like(sums.energy), np.zeros_like(sums.ledger)
+    )
+
+
+@kernel
+def _add(own, sums):
+    """Add what was summed apart."""
+    sums.specular[:] += own.specular
+    sums.energy[:] += own.energy
+    sums.ledger[:] += own.ledger
+
+
 @kernel(allocates=False)
 def _incident(beam, u, v):
-    """Direction to the light from two uniform numbers."""
+    """Direction to the light from two uniform numbers, and (cos, sin) of its azimuth, even on the normal."""
     sin2 = beam.sin2_lower + u * (beam.sin2_upper - beam.sin2_lower)
     sine = math.sqrt(sin2)
-    phi = 2.0 * math.pi * v
-    return sine * math.cos(phi), sine * math.sin(phi), math.sqrt(1.0 - sin2)
+    azimuth = math.cos(2.0 * math.pi * v), math.sin(2.0 * math.pi * v)
+    return (sine * azimuth[0], sine * azimuth[1], math.sqrt(1.0 - sin2)), azimuth
+
+
+@kernel(allocates=False)
+def _coordinates(x, y, z, azimuth):
+    """sin^2 theta_r and cos(delta phi) of a direction.
+
+    `azimuth` is that of incidence, as (cos, sin); at normal incidence, where none is better, the one drawn.
+    """
+    across2 = x * x + y * y
+    cosine = (azimuth[0] * x + azimuth[1] * y) / math.sqrt(across2) if across2 > 0.0 else 1.0
+    return across2 / (across2 + z * z), cosine
+
+
+@kernel(allocates=False)
+def _exit(packet, azimuth):
+    """`_coordinates` of all 16 paths at once, in the rows HIT_U and HIT_V."""
+    if packet.shape[1] != PACKET_WIDTH:
+        return
+    azimuth = np.float32(azimuth[0]), np.float32(azimuth[1])
+    for lane in range(PACKET_WIDTH):
+        sin2, cosine = _coordinates(packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane], azimuth)
+        packet[HIT_U, lane] = sin2
+        packet[HIT_V, lane] = cosine
 
 
 @kernel(inline=True, allocates=False)
-def _count(to_channels, bins, sums, wi, wo, status, bounces, delta, weight):
-    """Add what is left of one path (`weight`, shape (S,)) to where it ended."""
+def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, weight):
+    """Add what is left of one path (`weight`, shape (S,)) to where it ended; from `_coordinates`."""
     energy = 0.0
     for s in range(weight.shape[0]):
         energy += bins.share[s] * weight[s]
@@ -232,9 +279,8 @@ def _count(to_channels, bins, sums, wi, wo, status, bounces, delta, weight):
     if status == TRANSMITTED:
         sheet += bins.orders
     sectors = bins.phi.edges.shape[0] - 1
-    length2 = wo[0] * wo[0] + wo[1] * wo[1] + wo[2] * wo[2]
-    ring = find(bins.theta, (wo[0] * wo[0] + wo[1] * wo[1]) / length2)
-    cell = ring * sectors + find(bins.phi, -cos_delta_phi(wi, wo))
+    ring = find(bins.theta, sin2)
+    cell = ring * sectors + find(bins.phi, -cosine)
     channels = sums.energy.shape[1]
     for channel in range(channels):
         if to_channels is None:

@@ -24,23 +24,8 @@ R_S, R_P, R_RE, R_IM, T_S, T_P, T_RE, T_IM, I_R, I_T, SCRATCH_ROWS = range(11)
 
 @kernel(allocates=False)
 def interact(
-    facets,
-    tables,
-    media,
-    polarised,
-    layer,
-    material,
-    front,
-    v,
-    n,
-    e,
-    light,
-    scratch,
-    path,
-    event,
-    seed,
-    batch,
-):
+    facets, tables, media, share, polarised, layer, material, front, v, n, e, light, scratch, path, event, seed, batch
+):  # fmt: skip
     """Turn light at a facet into what leaves it.
 
     Parameters
@@ -48,6 +33,8 @@ def interact(
     facets : Facets
     tables : Pool or None
     media : Media
+    share : ndarray, shape (S,)
+        As in `gonio.trace.stack.Stack`; what is drawn is drawn by energy as it counts in the channels.
     polarised : bool
         Whether Q, U and V are kept; else they stay 0.
     layer, material : int
@@ -86,7 +73,7 @@ def interact(
         return w, perpendicular(w, n), False, False
     if tables is not None and kind == TABLE:
         u3, _, _, _ = uniforms(path, path >> 32, event, 3, seed, batch)
-        return _tabulated(tables, facets.table[material], v, n, e, light, scratch, u0, u1, u2, u3)
+        return _tabulated(tables, facets.table[material], share, v, n, e, light, scratch, u0, u1, u2, u3)
     across = perpendicular(v, n)
     if polarised:
         turn(light, rotation(e, v, across))
@@ -95,7 +82,7 @@ def interact(
             for s in range(light.shape[0]):
                 light[s, 2], light[s, 3] = -light[s, 2], -light[s, 3]
         return _reflect(v, n), across, False, True
-    reflected, transmitted = _interface(facets, media, layer, material, front, v, n, light, scratch)
+    reflected, transmitted = _interface(facets, media, share, layer, material, front, v, n, light, scratch)
     if reflected + transmitted <= 0.0:
         light[:, :] = 0.0
         return v, e, False, True
@@ -105,14 +92,14 @@ def interact(
         return _reflect(v, n), across, False, True
     eta_i = media.eta[layer if front else layer + 1]
     eta_t = media.eta[layer + 1 if front else layer]
-    sample = _one_of_many(eta_i, eta_t, scratch, u1 * transmitted)
+    sample = _one_of_many(eta_i, eta_t, share, scratch, u1 * transmitted)
     if sample < 0:
         _apply(light, scratch, T_S, 1.0 / (1.0 - chance), polarised)
         sample = 0
         while scratch[I_T, sample] <= 0.0:
             sample += 1
     else:
-        gain = transmitted / (scratch[I_T, sample] * (1.0 - chance))
+        gain = transmitted / (share[sample] * scratch[I_T, sample] * (1.0 - chance))
         for s in range(light.shape[0]):
             if s != sample:
                 light[s, :] = 0.0
@@ -124,8 +111,8 @@ def interact(
 
 
 @kernel(allocates=False)
-def _interface(facets, media, layer, material, front, v, n, light, scratch):
-    """What the interface does to each sample, into `scratch`; returns the sums of intensities, I_R and I_T."""
+def _interface(facets, media, share, layer, material, front, v, n, light, scratch):
+    """What the interface does to each sample, into `scratch`; returns the energies reflected and transmitted."""
     cosine = min(1.0, -dot(v, n))
     clear = facets.kind[material] == CLEAR
     first, count = facets.film[material]
@@ -155,7 +142,7 @@ def _interface(facets, media, layer, material, front, v, n, light, scratch):
         scratch[R_RE, s] = cross_r.real
         scratch[R_IM, s] = cross_r.imag
         scratch[I_R, s] = _intensity(light[s], scratch[R_S, s], scratch[R_P, s])
-        reflected += scratch[I_R, s]
+        reflected += share[s] * scratch[I_R, s]
         scratch[I_T, s] = 0.0
         if clear:
             if count == 0:
@@ -166,13 +153,13 @@ def _interface(facets, media, layer, material, front, v, n, light, scratch):
             scratch[T_RE, s] = cross.real
             scratch[T_IM, s] = cross.imag
             scratch[I_T, s] = max(0.0, _intensity(light[s], scratch[T_S, s], scratch[T_P, s]))
-            transmitted += scratch[I_T, s]
+            transmitted += share[s] * scratch[I_T, s]
     return reflected, transmitted
 
 
 @kernel(allocates=False)
-def _one_of_many(eta_i, eta_t, scratch, threshold):
-    """-1 if all samples refract alike; else one of them, drawn in proportion to I_T by a uniform threshold."""
+def _one_of_many(eta_i, eta_t, share, scratch, threshold):
+    """-1 if all samples refract alike; else one of them, drawn in proportion to its energy by a uniform threshold."""
     alike = True
     ratio = 0.0
     total = 0.0
@@ -186,12 +173,12 @@ def _one_of_many(eta_i, eta_t, scratch, threshold):
         alike = alike and eta_t[s] / eta_i[s] == ratio
         if total <= threshold:
             sample = s
-        total += intensity
+        total += share[s] * intensity
     return -1 if alike else sample
 
 
 @kernel(allocates=False)
-def _tabulated(tables, t, v, n, e, light, scratch, u0, u1, u2, u3):
+def _tabulated(tables, t, share, v, n, e, light, scratch, u0, u1, u2, u3):
     """Reflection by a table: its delta term or a direction drawn from it. It depolarises."""
     x, y = frame(n)
     wi = (-dot(v, x), -dot(v, y), -dot(v, n))
@@ -202,8 +189,8 @@ def _tabulated(tables, t, v, n, e, light, scratch, u0, u1, u2, u3):
     scattered = 0.0
     for s in range(light.shape[0]):
         light[s, 1:] = 0.0
-        mirrored += light[s, 0] * delta[s]
-        scattered += light[s, 0] * diffuse[s]
+        mirrored += share[s] * light[s, 0] * delta[s]
+        scattered += share[s] * light[s, 0] * diffuse[s]
     chance = mirrored / (mirrored + scattered) if mirrored > 0.0 else 0.0
     if u3 < chance:
         for s in range(light.shape[0]):

@@ -51,10 +51,12 @@ from gonio.trace.stack import (
 )
 from gonio.trace.transport import (
     ABSORBED,
+    INSIDE,
     KILLED,
     LOST,
     MAX_SEGMENTS,
     REFLECTED,
+    RETREAT,
     ROULETTE_BOUNCES,
     TRANSMITTED,
 )
@@ -62,6 +64,7 @@ from gonio.trace.volume import fly, scatter
 
 _UP = (0.0, 0.0, 1.0)
 _DOWN = (0.0, 0.0, -1.0)
+_NOTHING = 1e-9  # a share of energy that rounding may take
 
 
 @kernel(allocates=False)
@@ -124,6 +127,9 @@ def trace_path(
     bounces = 0
     straight = True
     rays = 0
+    # a place just before the last reflection, for a path that the step off a facet put inside the body
+    can_retreat = False
+    retreat = (0.0, 0.0, 0.0)
     for event in range(1, MAX_SEGMENTS):
         energy = _energy(light, share)
         if _strongest(light) == 0.0:
@@ -135,16 +141,19 @@ def trace_path(
                 limit = (gap - depth) / -v[2]
             elif v[2] > 0.0:
                 limit = depth / v[2]
-            distance, collided = fly(media, medium, light, limit, path, event, seed, batch)
+            distance, collided = fly(media, medium, share, light, limit, path, event, seed, batch)
             if medium > 0:
-                absorbed[2 * medium - 1] += energy - _energy(light, share)
+                absorbed[2 * medium - 1] += _lose(light, share, energy, bounces, path, event, 4, seed, batch)
             if not collided and limit == math.inf:
-                return (TRANSMITTED if zone == n_zones and v[2] < 0.0 else LOST), v, bounces, straight, rays
+                if zone < n_zones or v[2] >= 0.0:
+                    return LOST, v, bounces, straight, rays
+                return (TRANSMITTED if _strongest(light) > 0.0 else ABSORBED), v, bounces, straight, rays
             corner_x += distance * v[0]
             corner_y += distance * v[1]
             depth -= distance * v[2]
             if not collided:
                 in_gap = False
+                can_retreat = False
                 if v[2] < 0.0:
                     z = zones.box[zone, TOP]
                 else:
@@ -162,11 +171,11 @@ def trace_path(
                     return KILLED, v, bounces, straight, rays
                 bounces += 1
                 v, e, crossed, specular = interact(
-                    facets, tables, media, polarised, layer, material, front, v, _UP if front else _DOWN, e, light,
-                    scratch, path, event, seed, batch,
+                    facets, tables, media, share, polarised, layer, material, front, v, _UP if front else _DOWN,
+                    e, light, scratch, path, event, seed, batch,
                 )  # fmt: skip
                 straight = straight and specular
-                absorbed[2 * layer] += energy - _energy(light, share)
+                absorbed[2 * layer] += _lose(light, share, energy, bounces, path, event, 2, seed, batch)
             if crossed:
                 medium = layer + 1 if front else layer
             in_gap = True
@@ -177,8 +186,6 @@ def trace_path(
                 return _left(light), v, bounces, straight, rays
             else:
                 depth = zones.gap[zone]
-            if bounces >= ROULETTE_BOUNCES:
-                absorbed[2 * layer] += _roulette(light, share, path, event, seed, batch)
             continue
         else:
             box = zones.box[zone]
@@ -203,10 +210,10 @@ def trace_path(
                 limit = float(ray[T_FAR])
             else:
                 limit, face = _to_face(box, x, y, z, v)
-            distance, collided = fly(media, medium, light, limit * metres, path, event, seed, batch)
+            distance, collided = fly(media, medium, share, light, limit * metres, path, event, seed, batch)
             distance /= metres
             if medium > 0:
-                absorbed[2 * medium - 1] += energy - _energy(light, share)
+                absorbed[2 * medium - 1] += _lose(light, share, energy, bounces, path, event, 4, seed, batch)
                 energy = _energy(light, share)
             x += distance * v[0]
             y += distance * v[1]
@@ -223,7 +230,12 @@ def trace_path(
                     if not up:
                         zone += 1
                     if face != 3 or medium != zones.first_layer[zone]:
-                        return LOST, v, bounces, straight, rays
+                        if not can_retreat:
+                            return LOST, v, bounces, straight, rays
+                        can_retreat = False
+                        x, y, z = retreat
+                        zone -= 0 if up else 1
+                        continue
                     if zone == 0:
                         return _left(light), v, bounces, straight, rays
                     in_gap = True
@@ -238,7 +250,12 @@ def trace_path(
                 if not front:
                     n = (-n[0], -n[1], -n[2])
                 crossed = True
-                if medium == (layer if front else layer + 1):
+                if medium != (layer if front else layer + 1):
+                    if can_retreat and distance > INSIDE * box[LIFT]:
+                        can_retreat = False
+                        x, y, z = retreat
+                        continue
+                else:
                     label = 0
                     if facets.label_first[layer] >= 0:
                         label = facets.labels[facets.label_first[layer] + ids[PRIM_ID]]
@@ -247,12 +264,17 @@ def trace_path(
                         if bounces >= max_bounces:
                             return KILLED, v, bounces, straight, rays
                         bounces += 1
+                        back = min(0.5 * distance, RETREAT * box[LIFT])
+                        retreat = (x - back * v[0], y - back * v[1], z - back * v[2])
                         v, e, crossed, specular = interact(
-                            facets, tables, media, polarised, layer, material, front, v, n, e, light,
+                            facets, tables, media, share, polarised, layer, material, front, v, n, e, light,
                             scratch, path, event, seed, batch,
                         )  # fmt: skip
                         straight = straight and specular and n[0] == 0.0 and n[1] == 0.0
-                        absorbed[2 * layer] += energy - _energy(light, share)
+                        absorbed[2 * layer] += _lose(
+                            light, share, energy, bounces, path, event, 2, seed, batch
+                        )
+                    can_retreat = not crossed
                     if crossed:
                         medium = layer + 1 if front else layer
                 # single precision puts a hit a little off the facet: step off it, to the side the path goes on
@@ -260,19 +282,16 @@ def trace_path(
                 x += step * n[0]
                 y += step * n[1]
                 z += step * n[2]
-                if bounces >= ROULETTE_BOUNCES:
-                    absorbed[2 * layer] += _roulette(light, share, path, event, seed, batch)
                 continue
         # a collision, in the gap or between facets
         if bounces >= max_bounces:
             return KILLED, v, bounces, straight, rays
         bounces += 1
         straight = False
+        can_retreat = False
         energy = _energy(light, share)
         v, e = scatter(media, medium, polarised, v, e, light, path, event, seed, batch)
         absorbed[2 * medium - 1] += energy - _energy(light, share)
-        if bounces >= ROULETTE_BOUNCES:
-            absorbed[2 * medium - 1] += _roulette(light, share, path, event, seed, batch)
     return LOST, v, bounces, straight, rays
 
 
@@ -332,19 +351,20 @@ def _to_face(box, x, y, z, v):
 
 
 @kernel(allocates=False)
-def _roulette(light, share, path, event, seed, batch):
-    """Russian roulette on the strongest sample: survivors carry the energy of those that end here.
+def _lose(light, share, before, bounces, path, event, dimension, seed, batch):
+    """What the light lost of the energy it had before; after a few bounces, whoever loses plays Russian roulette.
+
+    Survivors carry the energy of those that end; nobody plays where nothing is absorbed, so that the ledger
+    shows nothing there.
 
     Returns
     -------
     float
-        Energy that ended, or, negative, that was given to the survivor.
+        Energy lost, that of a path that ends or, negative, that given to a survivor included.
     """
-    survival = _strongest(light)
-    if survival >= 1.0:
-        return 0.0
     energy = _energy(light, share)
-    u, _, _, _ = uniforms(path, path >> 32, event, 2, seed, batch)
-    for s in range(light.shape[0]):
-        scale(light[s], 1.0 / survival if u < survival else 0.0)
-    return energy - _energy(light, share)
+    if bounces >= ROULETTE_BOUNCES and energy < min(1.0, before * (1.0 - _NOTHING)):
+        u, _, _, _ = uniforms(path, path >> 32, event, dimension, seed, batch)
+        for s in range(light.shape[0]):
+            scale(light[s], 1.0 / energy if u < energy else 0.0)
+    return before - _energy(light, share)

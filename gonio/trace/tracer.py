@@ -14,7 +14,10 @@ from gonio.trace.transport import MAX_SEGMENTS
 from microgeometry.specimen import Specimen
 from microgeometry.tile import SurfaceStatistics, Tile
 
-MAX_BOUNCES = 256
+MAX_BOUNCES = 10_000
+# In a medium that hardly absorbs, light scatters thousands of times before it is out; most of these take one
+# segment of the path, some two or three, and the cap on segments would call it lost.
+MAX_SCATTERINGS = MAX_SEGMENTS // 4
 _STATISTICS_TILES = 8  # realisations whose facets are measured
 _COHERENT_FACETS = 8  # facets per path of a row below which coherent packets are faster (measured)
 
@@ -130,8 +133,7 @@ class _Layers:
 
     def trace(self, bins: Bins, beam: Beam, part: Part, batch: int, sums: Sums) -> None:
         tracer, stack = self._tracer, self._tracer.stack
-        # in a medium that hardly absorbs, light scatters thousands of times before it is out
-        max_bounces = MAX_SEGMENTS if stack.scatters else MAX_BOUNCES
+        max_bounces = MAX_SCATTERINGS if stack.scatters else MAX_BOUNCES
         trace_stack(
             self._scene.zones, self._facets, stack.tables, stack.media, stack.polarised, tracer._to_channels,
             bins, beam, part, tracer._seed, batch, max_bounces, sums,

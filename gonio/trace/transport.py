@@ -21,6 +21,8 @@ from gonio.core.embree import (
     DIR_Y,
     DIR_Z,
     GEOM_ID,
+    HIT_U,
+    HIT_V,
     INST_ID,
     INST_PRIM_ID,
     MISS,
@@ -51,7 +53,17 @@ LOST = 5  # fell through the surface or wandered without end: numerics, or a hol
 ROULETTE_BOUNCES = 4
 MAX_SEGMENTS = 100_000  # of a path, crossings of the tile's faces included: no path can go on for ever
 
+# In steps off the facet: how far inside the body a path is no longer where rounding put it, and how far
+# before its last bounce it starts again.
+INSIDE = np.float32(16.0)
+RETREAT = np.float32(64.0)
+
+# Rows of the packet where Embree leaves what we do not need: direction times unit normal at a hit, and
+# whether a ray that hit nothing goes out above.
+D_N, LEAVES = HIT_U, HIT_V
+
 _ZERO = np.float32(0.0)
+_HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 _FAR = np.float32(np.inf)
@@ -72,6 +84,8 @@ def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
     seed, batch, path : int
         Key and counter of the random numbers; the packet's paths are path ... path + 15.
     """
+    if packet.shape[1] != PACKET_WIDTH:  # tells the compiler, which then vectorises
+        return
     ints = packet.view(np.int32)
     for lane in range(PACKET_WIDTH):
         u, v, _, _ = uniforms(path + lane, (path + lane) >> 32, 0, 0, seed, batch)
@@ -104,6 +118,7 @@ def trace_packet(
     weight,
     polarisation,
     axis,
+    retreat,
     bounces,
     status,
     absorbed,
@@ -130,6 +145,9 @@ def trace_packet(
     polarisation, axis : ndarray or None, shapes (16, S, 3) and (16, 3)
         Work space for Q, U, V of each path and the axis they refer to, where `eta_k` is given: light comes
         in unpolarised, and every metal facet polarises it.
+    retreat : ndarray of float32, shape (3, 16)
+        Work space: a place just before each path's last bounce. In a sharp valley the step off one wall can
+        end behind the other; a path found inside the body starts again from here, once.
     bounces, status : ndarray of int64, shape (16,)
         Set to each path's number of bounces and to how it ended.
     absorbed : ndarray, shape (S,)
@@ -141,9 +159,12 @@ def trace_packet(
     int
         Rays traced.
     """
+    if packet.shape[1] != PACKET_WIDTH:  # tells the compiler
+        return 0
     ints = packet.view(np.int32)
     weight[:, :] = 1.0
     bounces[:] = 0
+    retreat[:, :] = np.nan
     segments = 0
     active = PACKET_WIDTH
     rays = 0
@@ -151,32 +172,89 @@ def trace_packet(
         intersect16(embree, packet, coherent)
         rays += active
         segments += 1
+        _arrive(box, packet, albedo is None, retreat, bounces)
         for lane in range(PACKET_WIDTH):
             if ints[VALID, lane] == 0:
                 continue
             end = 0
-            if ints[GEOM_ID, lane] != MISS:
-                distance = packet[T_FAR, lane]
-                packet[ORG_X, lane] += packet[DIR_X, lane] * distance
-                packet[ORG_Y, lane] += packet[DIR_Y, lane] * distance
-                packet[ORG_Z, lane] += packet[DIR_Z, lane] * distance
-                packet[T_NEAR, lane] = _ZERO
+            if ints[GEOM_ID, lane] == MISS:
+                end = REFLECTED if packet[LEAVES, lane] == _ONE else _cross(box, packet, lane)
+                if end == LOST and _retreat(packet, lane, retreat):
+                    end = 0
+            elif packet[D_N, lane] >= _ZERO:
+                # a facet's back: the path started a rounding error below the surface, and goes on through
+                if packet[T_FAR, lane] >= INSIDE * box.lift:
+                    _retreat(packet, lane, retreat)
+            elif bounces[lane] > max_bounces:
+                bounces[lane] = max_bounces
+                end = KILLED
+            elif albedo is not None or eta_k is not None:
                 end = _scatter(
-                    packet, lane, box.lift, eta_k, albedo, max_bounces, seed, batch, path + lane,
-                    weight, polarisation, axis, bounces, absorbed,
+                    packet, lane, eta_k, albedo, seed, batch, path + lane, weight, polarisation, axis,
+                    bounces, absorbed,
                 )  # fmt: skip
-            else:
-                end = _cross(box, packet, lane)
             if end == 0 and segments >= MAX_SEGMENTS:
                 end = LOST
             if end != 0:
                 status[lane] = end
                 ints[VALID, lane] = 0
                 active -= 1
+        for lane in range(PACKET_WIDTH):
             packet[T_FAR, lane] = _FAR
             ints[GEOM_ID, lane] = MISS
-            ints[INST_ID, lane] = MISS
     return rays
+
+
+@kernel(allocates=False)
+def _arrive(box, packet, reflects, retreat, bounces):
+    """Take all rays to where they hit and off the facet, mirrored in its normal if it `reflects`.
+
+    Nothing here branches, so that the compiler does many lanes at once. The normals become unit vectors;
+    D_N tells back from front, LEAVES whether a ray that hit nothing goes out through the plane above.
+    """
+    if packet.shape[1] != PACKET_WIDTH or retreat.shape[1] != PACKET_WIDTH:  # tells the compiler
+        return
+    ints = packet.view(np.int32)
+    lift = box.lift
+    for lane in range(PACKET_WIDTH):
+        hit = (ints[VALID, lane] != 0) & (ints[GEOM_ID, lane] != MISS)
+        nx, ny, nz = packet[NORMAL_X, lane], packet[NORMAL_Y, lane], packet[NORMAL_Z, lane]
+        vx, vy, vz = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
+        square = nx * nx + ny * ny + nz * nz
+        inverse = _ONE / np.float32(math.sqrt(square if hit else _ONE))
+        nx *= inverse
+        ny *= inverse
+        nz *= inverse
+        d_n = vx * nx + vy * ny + vz * nz
+        front = hit & (d_n < _ZERO)
+        distance = packet[T_FAR, lane] if hit else _ZERO
+        x = packet[ORG_X, lane] + vx * distance
+        y = packet[ORG_Y, lane] + vy * distance
+        z = packet[ORG_Z, lane] + vz * distance
+        back = min(_HALF * distance, RETREAT * lift)
+        retreat[0, lane] = x - vx * back if front else retreat[0, lane]
+        retreat[1, lane] = y - vy * back if front else retreat[1, lane]
+        retreat[2, lane] = z - vz * back if front else retreat[2, lane]
+        # Single precision puts a hit a little off the surface: step off along the normal, past the facet
+        # itself. A fixed step along the ray would jump over a neighbour in a crease (and lost 1 path in 10^7).
+        packet[ORG_X, lane] = x + nx * lift if hit else x
+        packet[ORG_Y, lane] = y + ny * lift if hit else y
+        packet[ORG_Z, lane] = z + nz * lift if hit else z
+        if reflects:
+            twice = _TWO * d_n
+            packet[DIR_X, lane] = vx - twice * nx if front else vx
+            packet[DIR_Y, lane] = vy - twice * ny if front else vy
+            packet[DIR_Z, lane] = vz - twice * nz if front else vz
+        bounces[lane] += front
+        packet[NORMAL_X, lane] = nx
+        packet[NORMAL_Y, lane] = ny
+        packet[NORMAL_Z, lane] = nz
+        packet[D_N, lane] = d_n
+        to_top = (box.top - z) / (vz if vz > _ZERO else _ONE)
+        x += vx * to_top
+        y += vy * to_top
+        inside = (x >= _ZERO) & (x <= box.width_x) & (y >= _ZERO) & (y <= box.width_y)
+        packet[LEAVES, lane] = _ONE if (vz > _ZERO) & inside else _ZERO
 
 
 @kernel(allocates=False)
@@ -211,59 +289,51 @@ def _cross(box, packet, lane):
     packet[ORG_X, lane] = x
     packet[ORG_Y, lane] = y
     packet[ORG_Z, lane] = z + vz * distance
-    packet[T_NEAR, lane] = _ZERO
     return 0
 
 
 @kernel(allocates=False)
 def _scatter(
-    packet, lane, lift, eta_k, albedo, max_bounces, seed, batch, path, weight, polarisation, axis, bounces, absorbed
+    packet, lane, eta_k, albedo, seed, batch, path, weight, polarisation, axis, bounces, absorbed
 ):  # fmt: skip
-    """Turn a path at a hit into a new direction; returns how it ended, or 0 if it goes on."""
-    nx, ny, nz = packet[NORMAL_X, lane], packet[NORMAL_Y, lane], packet[NORMAL_Z, lane]
-    vx, vy, vz = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
-    # Single precision puts a hit a little off the surface: step off along the normal, past the facet itself.
-    # A fixed step along the ray instead would jump over a neighbour in a crease (and lost 1 path in 10^7).
-    inverse = _ONE / np.float32(math.sqrt(nx * nx + ny * ny + nz * nz))
-    nx *= inverse
-    ny *= inverse
-    nz *= inverse
-    packet[ORG_X, lane] += nx * lift
-    packet[ORG_Y, lane] += ny * lift
-    packet[ORG_Z, lane] += nz * lift
-    d_n = vx * nx + vy * ny + vz * nz
-    if d_n >= _ZERO:
-        return 0  # a facet's back: the path started a rounding error below the surface, and goes on through
-    if bounces[lane] >= max_bounces:
-        return KILLED
-    bounces[lane] += 1
-    channels = weight.shape[1]
-    if albedo is None:
-        twice = _TWO * d_n
-        packet[DIR_X, lane] = vx - twice * nx
-        packet[DIR_Y, lane] = vy - twice * ny
-        packet[DIR_Z, lane] = vz - twice * nz
-    else:
+    """What a facet does to a path but mirror it; returns how it ended, or 0 if it goes on."""
+    n = (float(packet[NORMAL_X, lane]), float(packet[NORMAL_Y, lane]), float(packet[NORMAL_Z, lane]))
+    if albedo is not None:
         u, v, _, _ = uniforms(path, path >> 32, bounces[lane], 0, seed, batch)
-        n = (float(nx), float(ny), float(nz))
         s, t = frame(n)
         a, b, c = cosine_hemisphere(u, v)
         packet[DIR_X, lane] = a * s[0] + b * t[0] + c * n[0]
         packet[DIR_Y, lane] = a * s[1] + b * t[1] + c * n[1]
         packet[DIR_Z, lane] = a * s[2] + b * t[2] + c * n[2]
-        for channel in range(channels):
+        for channel in range(weight.shape[1]):
             w = weight[lane, channel]
             weight[lane, channel] = w * albedo[channel]
             absorbed[channel] += w - weight[lane, channel]
     if eta_k is not None:
-        v = (float(vx), float(vy), float(vz))
-        n = (float(nx), float(ny), float(nz))
+        twice = 2.0 * packet[D_N, lane]
+        v = (
+            packet[DIR_X, lane] + twice * n[0],
+            packet[DIR_Y, lane] + twice * n[1],
+            packet[DIR_Z, lane] + twice * n[2],
+        )
         _reflect_polarised(
             v, n, eta_k, bounces[lane] == 1, weight[lane], polarisation[lane], axis[lane], absorbed
         )
-    if (eta_k is not None or albedo is not None) and bounces[lane] >= ROULETTE_BOUNCES:
+    if bounces[lane] >= ROULETTE_BOUNCES:
         return _roulette(lane, eta_k, seed, batch, path, weight, polarisation, bounces, absorbed)
     return 0
+
+
+@kernel(allocates=False)
+def _retreat(packet, lane, retreat):
+    """Send a path found inside the body back to before its last bounce, in its new direction; False if it was."""
+    if math.isnan(retreat[0, lane]):
+        return False
+    packet[ORG_X, lane] = retreat[0, lane]
+    packet[ORG_Y, lane] = retreat[1, lane]
+    packet[ORG_Z, lane] = retreat[2, lane]
+    retreat[0, lane] = np.nan
+    return True
 
 
 @kernel(allocates=False)

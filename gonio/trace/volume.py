@@ -14,7 +14,7 @@ from gonio.trace.stack import ABSORBS, CURVE_COUNT, CURVE_FIRST, PHASE_KIND, SCA
 
 
 @kernel(allocates=False)
-def fly(media, medium, light, limit, path, event, seed, batch):
+def fly(media, medium, share, light, limit, path, event, seed, batch):
     """Free flight of at most `limit` metres: how far, and whether it ends in a collision with the medium.
 
     Absorption takes its part along the way. Collisions are drawn for one sample, taken by energy, and
@@ -28,13 +28,13 @@ def fly(media, medium, light, limit, path, event, seed, batch):
     u0, u1, _, _ = uniforms(path, path >> 32, event, 0, seed, batch)
     total = 0.0
     for s in range(light.shape[0]):
-        total += light[s, 0]
+        total += share[s] * light[s, 0]
     chosen = 0
     below = 0.0
     for s in range(light.shape[0]):
         if light[s, 0] > 0.0 and below <= u0 * total:
             chosen = s
-        below += light[s, 0]
+        below += share[s] * light[s, 0]
     sigma = media.sigma_s[medium, chosen]
     distance = -math.log(u1) / sigma if sigma > 0.0 else math.inf
     collided = distance < limit
@@ -43,7 +43,9 @@ def fly(media, medium, light, limit, path, event, seed, batch):
     density = 0.0
     for s in range(light.shape[0]):
         sigma = media.sigma_s[medium, s]
-        density += light[s, 0] / total * _transmittance(sigma, distance) * (sigma if collided else 1.0)
+        density += (
+            share[s] * light[s, 0] / total * _transmittance(sigma, distance) * (sigma if collided else 1.0)
+        )
     for s in range(light.shape[0]):
         sigma = media.sigma_s[medium, s]
         factor = _transmittance(sigma, distance) * (sigma if collided else 1.0) / density

@@ -174,7 +174,7 @@ def test_check_compress_convert_fit_tabulate_report(folder):
     report = gonio("report", "t.h5", "f.json", "-o", "r.html", cwd=folder)
     assert report.returncode == 0, report.stderr
     page = (folder / "r.html").read_text()
-    assert page.count("<img") == 3
+    assert page.count("<img") == 4  # the surface, lobes, albedo, hemisphere
     assert "alpha" in page
 
 

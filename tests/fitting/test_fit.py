@@ -20,7 +20,7 @@ MATERIALS = [
     gold(0.3, "ggx"),
     material(
         "cook_torrance_1982",
-        ("v_cavity", {"alpha": 0.25}, {"f0": (0.5, 0.04, 0.04), "f90": (0.9, 0.8, 0.7)}),
+        ("beckmann_v_cavity", {"alpha": 0.25}, {"f0": (0.5, 0.04, 0.04), "f90": (0.9, 0.8, 0.7)}),
         ("lambert", {}, {"albedo": (0.2, 0.0, 0.1)}),
     ),
     material(

@@ -47,7 +47,7 @@ def test_oren_nayar_does_not_turn_negative() -> None:
 
 
 # Looking along the normal (wh = wi): D(0) = 1/(pi alpha^2) for both, G = 1, f = D/4, no grazing part.
-@pytest.mark.parametrize("lobe", ["beckmann", "ggx", "v_cavity"])
+@pytest.mark.parametrize("lobe", ["beckmann", "ggx", "beckmann_v_cavity"])
 def test_microfacets_along_the_normal(lobe: str) -> None:
     first, second = terms(lobe, polar(0.0), polar(0.0), alpha=0.5)
     assert first == pytest.approx(1 / (4 * PI * 0.25), rel=1e-14)
@@ -61,7 +61,7 @@ def test_microfacets_along_the_normal(lobe: str) -> None:
 #   erfc(a) = 0.102470; Lambda = 0.0131620, twice 0.0263240.
 # V-cavity: 2 x 1 x 0.5/0.5 = 2, so G = 1.
 @pytest.mark.parametrize(
-    ("lobe", "shadowing"), [("ggx", 1 / 1.322876), ("beckmann", 1 / 1.026324), ("v_cavity", 1.0)]
+    ("lobe", "shadowing"), [("ggx", 1 / 1.322876), ("beckmann", 1 / 1.026324), ("beckmann_v_cavity", 1.0)]
 )
 def test_microfacets_in_the_mirror_direction(lobe: str, shadowing: float) -> None:
     first, second = terms(lobe, polar(60.0), polar(60.0, 180.0), alpha=0.5)
@@ -76,7 +76,7 @@ def test_microfacets_in_the_mirror_direction(lobe: str, shadowing: float) -> Non
     [
         ("ggx", 0.25 / (PI * 0.66015625) / 1.322876),
         ("beckmann", 64 * math.exp(-12) / PI / 1.026324),
-        ("v_cavity", 64 * math.exp(-12) / PI * 0.5),
+        ("beckmann_v_cavity", 64 * math.exp(-12) / PI * 0.5),
     ],
 )
 def test_microfacets_in_retro_reflection(lobe: str, expected: float) -> None:
@@ -103,3 +103,26 @@ def test_ashikhmin_shirley_diffuse() -> None:
     # normal: (1 - 1/32); 60 degrees: 1 - (3/4)^5 = 781/1024
     found = terms("ashikhmin_shirley_diffuse", polar(0.0), polar(60.0))
     assert found == pytest.approx((28 / (23 * PI) * 31 / 32 * 781 / 1024, 0.0), rel=1e-12)
+
+
+# wi on the normal, wo at 60: cos_h^2 = 3/4, wi.wh = sqrt(3)/2, larger cosine 1; n_u = 2 along x, n_v = 4 along y
+@pytest.mark.parametrize(("phi", "power"), [(0.0, 2.0), (90.0, 4.0), (45.0, 3.0)])
+def test_ashikhmin_shirley_anisotropic(phi: float, power: float) -> None:
+    cosine = math.sqrt(0.75)
+    found = terms(
+        "ashikhmin_shirley_anisotropic", polar(0.0), polar(60.0, phi), exponent_u=2.0, exponent_v=4.0
+    )
+    expected = math.sqrt(15.0) / (8 * PI) * cosine**power / cosine
+    grazing = (1 - cosine) ** 5
+    assert found == pytest.approx((expected * (1 - grazing), expected * grazing), rel=1e-12)
+
+
+def test_oren_nayar_qualitative() -> None:
+    # sigma = 0.3: A = 0.892857, B = 0.225; retro at 60: B sin tan = 0.225 x 1.5; elsewhere cos(delta phi) <= 0
+    for phi, expected in ((0.0, 0.892857 + 0.3375), (90.0, 0.892857), (180.0, 0.892857)):
+        found = terms("oren_nayar_qualitative", polar(60.0), polar(60.0, phi), sigma=0.3)
+        assert found == pytest.approx((expected / PI, 0.0), rel=2e-6)
+    # the larger angle's sine, the smaller one's tangent: 60 and 30 degrees
+    found = terms("oren_nayar_qualitative", polar(30.0), polar(60.0), sigma=0.3)[0]
+    assert found == pytest.approx((0.892857 + 0.225 * 0.8660254 * 0.5773503) / PI, rel=2e-6)
+    assert terms("oren_nayar_qualitative", polar(80.0), polar(70.0), sigma=0.0) == (1 / PI, 0.0)

@@ -243,6 +243,22 @@ def test_a_claim_no_file_can_hold(saved):
         Table.load(saved)
 
 
+def test_a_heap_that_hangs_the_library(saved):
+    """A free object of size 0 among the texts: HDF5 2.0 would search it for ever."""
+    data = bytearray(saved.read_bytes())
+    start = data.index(b"GCOL")
+    data[start + 16 : start + 32] = bytes(16)
+    saved.write_bytes(data)
+    with pytest.raises(InputError, match=r"damaged HDF5 file \(a heap object of 0 bytes"):
+        Table.load(saved)
+
+
+def test_text_that_is_not_utf8(saved):
+    saved.write_bytes(saved.read_bytes().replace("π".encode(), b"\xb0\xb0"))
+    with pytest.raises(InputError, match=r"damaged or truncated HDF5 file \('utf-8' codec"):
+        Table.load(saved)
+
+
 def test_newer_minor_version_is_read(saved):
     attribute("version", "1.7")(saved)
     assert Table.load(saved).values.shape == (6, 7, 8, 3)

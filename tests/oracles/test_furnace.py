@@ -14,6 +14,7 @@ from tests.oracles.measuring import (
     gaussian,
     glass,
     groove,
+    keeps_all_light,
     lambert,
     layer,
     ledger_adds_up,
@@ -30,17 +31,6 @@ CLEAR_FILMS = {
     "films": [{"eta": 1.38, "thickness_nm": 100}, {"eta": 2.3, "thickness_nm": 60}],
     "over": glass(1.5),
 }
-
-
-def all_light(table):
-    """Everything leaves, above or below: each path of one channel keeps its whole weight."""
-    total = table.row_albedo.copy()
-    if "transmission" in table.parts:
-        total += table.parts["transmission"].row_albedo
-    ledger_adds_up(table)
-    assert table.ledger["killed"] == 0
-    assert total == pytest.approx(1.0, abs=1e-9)
-    assert table.ledger["absorbed"] == pytest.approx(0.0, abs=1e-6)
 
 
 SURFACES = {
@@ -71,24 +61,26 @@ NAMES = [pytest.param(n, marks=pytest.mark.slow if n == "packed spheres" else ()
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("material", [MIRROR, lambert(1.0)], ids=["mirror", "lambert"])
 def test_opaque_surfaces(seed, name, material):
-    table = trace(layer(SURFACES[name], material), 60_000, seed, theta_i_deg=ANGLES)
-    all_light(table)
+    table = trace(layer(SURFACES[name], material), 30_000, seed, theta_i_deg=ANGLES)
+    keeps_all_light(table)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_glass_surfaces_over_white(seed, name):
     """Any shape of glass over a white base: spheres and fibres stand on their own base of glass."""
     table = trace(
-        [layer(SURFACES[name], glass(1.5), thickness=20.0), WHITE], 60_000, seed, theta_i_deg=ANGLES
+        [layer(SURFACES[name], glass(1.5), thickness=20.0), WHITE], 30_000, seed, theta_i_deg=ANGLES
     )
-    all_light(table)
+    keeps_all_light(table)
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("eta", [1.5, 0.7, 4.0, 0.25])
+@pytest.mark.parametrize(
+    "eta", [1.5, pytest.param(0.7, marks=pytest.mark.slow), 4.0, pytest.param(0.25, marks=pytest.mark.slow)]
+)
 def test_glass_surfaces_reflect_or_transmit_all(seed, name, eta):
     table = trace(layer(SURFACES[name], glass(eta)), 30_000, seed, theta_i_deg=ANGLES)
-    all_light(table)
+    keeps_all_light(table, trapped=1e-3)
 
 
 @pytest.mark.parametrize("alpha", [0.0, 0.1, 0.5, 1.0])
@@ -96,11 +88,11 @@ def test_films_on_glass_over_white(seed, alpha):
     """Films that do not absorb; three wavelengths share a path, and each keeps its light on the average."""
     surface = gaussian(alpha) if alpha else FLAT
     layers = [layer(surface, CLEAR_FILMS, thickness=10.0), WHITE]
-    one = trace(layers, 60_000, seed, theta_i_deg=ANGLES, wavelengths_nm=[550.0])
-    all_light(one)
-    three = trace(layers, 60_000, seed, theta_i_deg=ANGLES, wavelengths_nm=[430.0, 550.0, 670.0])
+    one = trace(layers, 30_000, seed, theta_i_deg=ANGLES, wavelengths_nm=[550.0])
+    keeps_all_light(one)
+    three = trace(layers, 30_000, seed, theta_i_deg=ANGLES, wavelengths_nm=[430.0, 550.0, 670.0])
     ledger_adds_up(three)
-    agrees(three.row_albedo, three.albedo_std_error, 1.0, batches_of(three), precision=2e-2)
+    agrees(three.row_albedo, three.albedo_std_error, 1.0, batches_of(three), precision=4e-2)
     # the energy of the channels together is kept path by path
     assert three.row_albedo.mean(axis=1) == pytest.approx(1.0, abs=1e-9)
 
@@ -109,14 +101,14 @@ def test_rough_slab_between_films(seed):
     """Closed films on both rough sides of a plate: R + T = 1."""
     below = {**CLEAR_FILMS, "over": glass(1.0)}
     layers = [layer(gaussian(0.5), CLEAR_FILMS, thickness=10.0), layer(gaussian(0.3), below)]
-    table = trace(layers, 60_000, seed, theta_i_deg=ANGLES, wavelengths_nm=[550.0])
-    all_light(table)
+    table = trace(layers, 30_000, seed, theta_i_deg=ANGLES, wavelengths_nm=[550.0])
+    keeps_all_light(table)
 
 
 @pytest.mark.parametrize("alpha", [0.1, 0.5, 1.0])
 def test_rough_slabs(seed, alpha):
     layers = [layer(gaussian(alpha), glass(1.5), thickness=10.0), layer(gaussian(alpha), glass(1.0))]
-    all_light(trace(layers, 60_000, seed, theta_i_deg=ANGLES))
+    keeps_all_light(trace(layers, 30_000, seed, theta_i_deg=ANGLES))
 
 
 def test_rough_layers_of_everything(seed):
@@ -126,7 +118,7 @@ def test_rough_layers_of_everything(seed):
         layer(gaussian(0.7), glass(1.2), sigma_s=0.1, phase="rayleigh", thickness=5.0),
         layer(groove(50), lambert(1.0)),
     ]
-    table = trace(layers, 60_000, seed, theta_i_deg=ANGLES)
+    table = trace(layers, 30_000, seed, theta_i_deg=ANGLES)
     ledger_adds_up(table)
     # Rayleigh scattering of polarised light weighs paths: kept on the average only
     agrees(table.row_albedo, table.albedo_std_error, 1.0, batches_of(table), precision=1e-2)
@@ -155,7 +147,7 @@ def test_orders_add_up_for_glass_and_metal(seed, orders):
     ]
     metal = layer(gaussian(0.7), {"kind": "conductor", "eta": 0.4, "k": 1.1})
     for layers in (glassy, metal):
-        orders_add_up(trace(layers, 60_000, seed, theta_i_deg=ANGLES, orders=orders))
+        orders_add_up(trace(layers, 30_000, seed, theta_i_deg=ANGLES, orders=orders))
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from tests.oracles.measuring import (
     batches_of,
     glass,
     groove,
+    keeps_all_light,
     lambert,
     layer,
     ledger_adds_up,
@@ -124,7 +125,7 @@ def test_metal_grooves_keep_polarisation(seed, slope, theta, way):
     """Fields by 3 x 3 matrices, at any incidence; traced by packets, and as a stack under an idle layer."""
     layers = [layer(groove(slope), METAL)]
     if way == "layers":
-        layers.insert(0, layer(FLAT, NONE, thickness=1.0))
+        layers.insert(0, layer(FLAT, NONE, thickness=20.0))
     table = trace(layers, 200_000, seed, theta_i_deg=[theta])
     expected = metal_groove(slope, theta, WALLS)
     error = np.hypot(table.albedo_std_error[:, 0], 2e-5)
@@ -138,18 +139,28 @@ def metal_groove(slope, theta, walls):
     return grooves.turned(theta, lambda phi: grooves.albedo(slope, theta, phi, walls), 300)
 
 
-@pytest.mark.parametrize(("slope", "theta"), [(45, 0), (45, 30), (60, 50)])
+# Phases tell only in skew light after four bounces or more: U, made of Q by the turn from wall to wall, becomes V,
+# V becomes U, and U becomes Q. By real amplitudes these two would be off by -.0058 and -.0139.
+TURNING = ({"kind": "conductor", "eta": 0.8, "k": 2.0}, 80, 65, ())
+TURNING_IN_A_FILM = ({"kind": "conductor", "eta": 0.2, "k": 3.0}, 84, 65, ((2.3, 0.2 * WAVELENGTH),))
+
+
+@pytest.mark.parametrize(
+    ("metal", "slope", "theta", "films"),
+    [(METAL, 45, 30, FILMS), (METAL, 60, 50, FILMS), TURNING, TURNING_IN_A_FILM],
+    ids=["45-30", "60-50", "turning", "turning in a film"],
+)
 @pytest.mark.parametrize("way", ["surface", "layers"])
-def test_coated_metal_grooves(seed, slope, theta, way):
-    """Films turn the phases of s and p apart: three bounces of skew light tell whether U and V are right."""
-    material, walls = coated(METAL)
-    layers = [layer(groove(slope), material)]
+def test_coated_metal_grooves(seed, metal, slope, theta, films, way):
+    """Films and metals turn the phases of s and p apart, and the light's U and V with them."""
+    material, walls = coated(metal, films)
+    layers = [layer(groove(slope), material if films else metal)]
     if way == "layers":
-        layers.insert(0, layer(FLAT, NONE, thickness=1.0))
-    table = trace(layers, 200_000, seed, theta_i_deg=[theta], wavelengths_nm=[WAVELENGTH])
-    error = np.hypot(table.albedo_std_error[:, 0], 2e-5)
+        layers.insert(0, layer(FLAT, NONE, thickness=20.0))
+    table = trace(layers, 400_000, seed, theta_i_deg=[theta], wavelengths_nm=[WAVELENGTH])
+    error = np.hypot(table.albedo_std_error[:, 0], 1e-4)
     expected = metal_groove(slope, theta, walls)
-    agrees(table.row_albedo[:, 0], error, expected, batches_of(table), precision=2e-3)
+    agrees(table.row_albedo[:, 0], error, expected, batches_of(table), precision=1.5e-3)
 
 
 @pytest.mark.parametrize(("slope", "theta"), [(45, 0), (60, 20), (35, 70)])
@@ -183,12 +194,12 @@ GLASS_CASES = [(45, 0), (45, 40), (60, 20), (30, 75), (65, 60)]
 def test_glass_grooves(seed, slope, theta):
     """45 degrees at normal incidence: .004269, by scalar light .002524. Light enters the ridges and leaves them."""
     eta = 1.5
-    table = trace(layer(groove(slope), glass(eta)), 3_000_000, seed, theta_i_deg=[theta])
+    table = trace(layer(groove(slope), glass(eta)), 1_500_000, seed, theta_i_deg=[theta])
     up, down = glass_groove(slope, theta, grooves.Walls(eta))
     if (slope, theta) == (45, 0):
         assert up == pytest.approx(0.004269, abs=1e-6)
-    agrees_albedo(table, [up], precision=max(2e-4, 0.01 * up))
-    agrees_albedo(table.parts["transmission"], [down], precision=max(2e-4, 0.01 * up))
+    agrees_albedo(table, [up], precision=max(2e-4, 0.015 * up))
+    agrees_albedo(table.parts["transmission"], [down], precision=max(2e-4, 0.015 * up))
     assert table.row_albedo + table.parts["transmission"].row_albedo == pytest.approx(1.0, abs=1e-9)
     ledger_adds_up(table)
 
@@ -259,7 +270,4 @@ def test_lambert_grooves(seed, slope, rho):
 def test_grooves_of_170_and_of_10_degrees(seed, slope, material):
     """Nearly flat and nearly closed ones keep all light, at all angles."""
     table = trace(layer(groove(slope), material), 50_000, seed, theta_i_deg=[0, 60, 89.9])
-    ledger_adds_up(table)
-    # white light in a slit bounces for long: no cap may cut it off
-    assert table.ledger["killed"] == 0
-    assert table.ledger["reflected"] + table.ledger["transmitted"] == pytest.approx(table.ledger["paths"])
+    keeps_all_light(table)  # white light in a slit bounces for long: no cap may cut it off

@@ -243,7 +243,7 @@ def test_rayleigh_slab_over_a_base_in_every_cell(seed):
     angles = [5, math.degrees(math.acos(0.2))]
     table = trace(
         [layer(FLAT, NONE, sigma_s=0.5, phase="rayleigh", thickness=1.0), layer(FLAT, lambert(0.8))],
-        3_000_000, seed, theta_i_deg=angles,
+        2_000_000, seed, theta_i_deg=angles,
     )  # fmt: skip
     for row in range(len(angles)):
         expected, mask = in_row(table, row, _ring_means(table, rayleigh_modes(angles, edges, 0.5, 0.8), row))
@@ -280,7 +280,7 @@ def test_glass_full_of_rayleigh_scatterers(seed):
             layer(FLAT, glass(1.5), sigma_s=0.9, sigma_a=0.1, phase="rayleigh", thickness=1.0),
             layer(FLAT, lambert(0.2)),
         ],
-        3_000_000, seed, theta_i_deg=angles,
+        2_000_000, seed, theta_i_deg=angles,
     )  # fmt: skip
     modes = rayleigh_modes(angles, edges, 1.0, 0.2, 0.9, 1.5)
     for row in range(len(angles)):

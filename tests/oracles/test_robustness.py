@@ -26,6 +26,7 @@ from tests.oracles.measuring import (
     gaussian,
     glass,
     groove,
+    keeps_all_light,
     lambert,
     layer,
     ledger_adds_up,
@@ -109,13 +110,13 @@ def test_a_thick_layer_over_layers_of_another_period(seed):
             layer(gaussian(0.3), glass(1.5), thickness=thickness),
             layer(groove(45, size=period), lambert(0.5)),
         ]
-        table = trace(layers, 400_000, seed, theta_i_deg=ANGLES)
+        table = trace(layers, 200_000, seed, theta_i_deg=ANGLES)
         ledger_adds_up(table)
         results.append(table)
     first = results[0]
     for other in results[1:]:
         error = np.hypot(first.albedo_std_error, other.albedo_std_error)
-        agrees(other.row_albedo, error, first.row_albedo, batches_of(first), precision=4e-3)
+        agrees(other.row_albedo, error, first.row_albedo, batches_of(first), precision=6e-3)
 
 
 @pytest.mark.parametrize("thickness", [1e-3, 1.0, 1e7])
@@ -206,12 +207,8 @@ def mushrooms():
 def test_overhangs(seed, tmp_path, material):
     write_obj(tmp_path / "mushrooms.obj", *mushrooms())
     surface = {"kind": "mesh", "file": "mushrooms.obj"}
-    table = trace(layer(surface, material), 100_000, seed, folder=tmp_path, theta_i_deg=[0, 60, 89.9])
-    total = table.row_albedo + (
-        table.parts["transmission"].row_albedo if "transmission" in table.parts else 0
-    )
-    assert total == pytest.approx(1.0, abs=1e-9)
-    ledger_adds_up(table)
+    table = trace(layer(surface, material), 20_000, seed, folder=tmp_path, theta_i_deg=[0, 60, 89.9])
+    keeps_all_light(table, trapped=1e-3 if material == glass(1.5) else 0.0)
 
 
 @pytest.mark.parametrize("material", [MIRROR, lambert(0.5), glass(1.5)], ids=["mirror", "lambert", "glass"])
@@ -269,7 +266,7 @@ SPECIMENS = {
 def test_reciprocity(seed, name):
     """f(i, o) = f(o, i) within the joint error: chi^2 per degree of freedom near 1."""
     wavelengths = {"wavelengths_nm": [550.0]} if name == "coated grooves" else {}
-    table = trace(SPECIMENS[name], 1_500_000, seed, theta_step_deg=10, phi_step_deg=30, **wavelengths)
+    table = trace(SPECIMENS[name], 800_000, seed, theta_step_deg=10, phi_step_deg=30, **wavelengths)
     rows, rings = np.triu_indices(len(table.theta_i), 1)
     f, e, hits = table.values[..., 0], table.std_error[..., 0], table.hits
     both = (hits[rows, rings] >= 100) & (hits[rings, rows] >= 100)
@@ -318,7 +315,7 @@ def test_a_flat_surface_of_a_traced_table_gives_that_table(seed, tmp_path):
     """Cell by cell, what the table itself says between its cells' centres; the delta term included."""
     metal = {"kind": "conductor", "eta": 0.4, "k": 1.1}
     half_smooth = {"kind": "pits", "cover": 0.6, "depth": 0.6, "segments": 24, "plane": metal}
-    table = trace(layer(half_smooth, lambert(0.8)), 3_000_000, seed, theta_step_deg=5, phi_step_deg=15)
+    table = trace(layer(half_smooth, lambert(0.8)), 2_000_000, seed, theta_step_deg=5, phi_step_deg=15)
     table.save(tmp_path / "traced.h5")
     again = trace(
         layer(FLAT, {"kind": "table", "file": "traced.h5"}),
@@ -358,11 +355,15 @@ def test_rough_dispersion_is_as_if_each_wavelength_were_traced_alone(seed):
             layer(groove(30), lambert(0.7)),
         ]
 
-    together = trace(layers(etas), 1_000_000, seed, theta_i_deg=ANGLES, **spectrum)
+    together = trace(layers(etas), 500_000, seed, theta_i_deg=ANGLES, **spectrum)
     for channel, eta in enumerate(etas):
         alone = trace(layers(eta), 300_000, seed + 1, theta_i_deg=ANGLES)
         error = np.hypot(together.albedo_std_error[:, channel], alone.albedo_std_error[:, 0])
         agrees(
-            together.row_albedo[:, channel], error, alone.row_albedo[:, 0], batches_of(alone), precision=1e-2
+            together.row_albedo[:, channel],
+            error,
+            alone.row_albedo[:, 0],
+            batches_of(alone),
+            precision=1.5e-2,
         )
     ledger_adds_up(together)

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from gonio.core.films import film_amplitudes as film_kernel
 from tests.oracles import fresnel
-from tests.oracles.films import film_stack
+from tests.oracles.films import film_amplitudes, film_stack
 from tests.oracles.measuring import (
     FLAT,
     INF,
@@ -214,6 +215,22 @@ def test_films_on_glass_reflect_and_transmit(seed):
     absorbed = table.ledger["absorbed: layer 1 surface"] / table.ledger["paths"]
     assert absorbed == pytest.approx(np.mean(missing), abs=1e-3)
     ledger_adds_up(table)
+
+
+@pytest.mark.parametrize("cos_i", [1.0, 0.8, 0.3])
+def test_amplitudes_of_films(cos_i):
+    """The kernel's complex amplitudes, phases between s and p too, which intensities hardly show."""
+    index = np.array([[n, k] for n, k, _ in FILMS])
+    thickness = np.array([d for *_, d in FILMS])
+    for above, below in ((1.0, 1.52), (1.52, 1.0), (1.0, 0.2 + 3.0j)):
+        r_s, r_p, t_s, t_p, cross = film_kernel(
+            cos_i, above, index, thickness, complex(below).real, complex(below).imag, 550.0
+        )
+        r, t = film_amplitudes(cos_i, above, stack(FILMS), below, 550.0)
+        assert [r_s, r_p] == pytest.approx(list(r), abs=1e-12)
+        if not np.iscomplex(below):
+            assert [t_s, t_p] == pytest.approx(list(np.abs(t) ** 2), abs=1e-12)
+            assert cross == pytest.approx(t[0] * np.conj(t[1]), abs=1e-12)
 
 
 def test_slab_coated_on_both_sides(seed):

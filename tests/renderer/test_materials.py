@@ -24,6 +24,18 @@ FIT = Fit(
     (FittedLobe("ggx", {"alpha": 0.3}, grey(f0=0.6, f90=0.9)), FittedLobe("lambert", {}, grey(albedo=0.2))),
     RGB,
 )
+GLASS = Fit(
+    "walter_ggx",
+    (
+        FittedLobe(
+            "walter_ggx",
+            {"alpha": 0.3, "eta": 1.5},
+            grey(specular_reflectance=1.0, specular_transmittance=1.0),
+        ),
+        FittedLobe("lambert", {}, grey(albedo=0.1)),
+    ),
+    RGB,
+)
 GLOSSY = table_of(
     lambda i, r, p: 0.1 + 0.5 * np.exp(-((i - r) ** 2 + (np.pi - p) ** 2 * np.sin(i) * np.sin(r)) / 0.1),
     0.7,
@@ -173,6 +185,41 @@ def test_refraction_follows_snell_and_scales_radiance():
     wi, weight, _ = glass.draw(np.array([[np.sqrt(0.75), 0, -0.5]]), np.array([[0.999, 0.5, 0.5]]))
     assert wi[0, 2] < 0
     assert weight[0] == pytest.approx([1, 1, 1])
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("through", [False, True])
+def test_rough_glass_from_both_sides(side, through):
+    glass = Vectorised(Material("analytic", {"fit": GLASS}))
+    rng = np.random.default_rng(9)
+    wo = np.tile([0.6, 0.0, side * 0.8], (40_000, 1))
+    wi, weight, density = glass.draw(wo, rng.random((40_000, 3)))
+    kept = density > 0
+    values, again = glass.both(wi[kept], wo[kept])
+    np.testing.assert_allclose(weight[kept] * density[kept, None], values, rtol=1e-9)
+    np.testing.assert_allclose(density[kept], again, rtol=1e-9)
+    # light of radiance 1 from one side: the samples' mean against the integral over that side
+    lit = np.where(kept & ((wi[:, 2] * side < 0) == through), weight[:, 0], 0.0)
+    x, w = np.polynomial.legendre.leggauss(200)
+    theta, phi = np.meshgrid(0.25 * np.pi * (x + 1), np.pi * (x + 1), indexing="ij")
+    z = np.cos(theta) * (-side if through else side)
+    light = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), z], axis=-1)
+    there = glass.both(light, np.broadcast_to(wo[0], light.shape))[0][..., 0]
+    integral = np.einsum("tp,tp,t,p->", there, np.sin(theta), w, w) * 0.25 * np.pi**2
+    assert abs(lit.mean() - integral) < 4 * lit.std() / 200 + 1e-4 * integral
+    # seen from inside, refracted radiance is up to 2.25 times what shines in from outside, never the reverse
+    assert 0.02 < integral < (2.25 if through and side < 0 else 1.1)
+
+
+def test_anisotropic_models_are_refused():
+    fit = Fit(
+        "ward_anisotropic",
+        (FittedLobe("ward_anisotropic", {"alpha_x": 0.1, "alpha_y": 0.3}, grey(rho_s=0.5)),),
+        RGB,
+    )
+    with pytest.raises(InputError, match="analytic: lobe ward_anisotropic is anisotropic"):
+        pack_materials([Material("analytic", {"fit": fit})])
 
 
 @pytest.mark.parametrize(("eta", "expected"), [(1.5, 0.0918), (1 / 1.5, 0.5963)])

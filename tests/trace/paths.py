@@ -18,6 +18,7 @@ def _trace(embree, box, eta_k, albedo, wi, side, max_bounces, seed, exits, weigh
     packet = new_packet()
     polarisation = None if eta_k is None else np.empty((PACKET_WIDTH, weight.shape[1], 3))
     axis = None if eta_k is None else np.empty((PACKET_WIDTH, 3))
+    retreat = np.empty((3, PACKET_WIDTH), np.float32)
     rays = 0
     dx, dy = box.width_x / (4 * side), box.width_y / (4 * side)
     for k in range(side * side):
@@ -27,7 +28,7 @@ def _trace(embree, box, eta_k, albedo, wi, side, max_bounces, seed, exits, weigh
         lanes = slice(path, path + PACKET_WIDTH)
         rays += trace_packet(
             embree, box, True, packet, eta_k, albedo, max_bounces, seed, 0, path,
-            weight[lanes], polarisation, axis, bounces[lanes], status[lanes], absorbed,
+            weight[lanes], polarisation, axis, retreat, bounces[lanes], status[lanes], absorbed,
         )  # fmt: skip
         for lane in range(PACKET_WIDTH):
             exits[path + lane, 0] = packet[DIR_X, lane]

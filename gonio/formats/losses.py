@@ -1,0 +1,33 @@
+"""What a format cannot keep, in sentences."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gonio.table.table import Table
+
+
+def common_losses(table: Table, name: str, keeps: tuple[str, ...] = ()) -> list[str]:
+    """What most formats lose of a table.
+
+    Parameters
+    ----------
+    table : Table
+    name : str
+        Of the format.
+    keeps : tuple of str
+        Which of "error bars", "delta", "wavelengths", "parts", "gaps", "transmission" the format does keep.
+    """
+    losses = []
+    if table.std_error is not None and "error bars" not in keeps:
+        losses.append("error bars")
+    if np.any(table.specular > 0) and "delta" not in keeps:
+        losses.append(f"the delta (mirror) term: {name} cannot hold it")
+    if table.wavelengths_nm is not None and "wavelengths" not in keeps:
+        losses.append(f"wavelengths: {name} has no place for them")
+    parts = [p for p in table.parts if not (p == "transmission" and "transmission" in keeps)]
+    if parts and "parts" not in keeps:
+        losses.append(f"the parts {', '.join(parts)}: {name} holds no such tables")
+    if table.gaps is not None and "gaps" not in keeps:
+        losses.append("the marks of gaps: they are written as 0")
+    return losses

@@ -1,0 +1,125 @@
+"""Tables from loose samples: lists of directions with a value each, as CSV, ASTM E1392 and OpenMATERIAL hold.
+
+Samples that stand on a grid of angles (most of its places taken) keep it: a cell around each. Others are
+averaged in uniform cells. Where the light or the detector stands on the normal an azimuth means nothing:
+such a sample holds for all.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.formats.cells import cells_around, check_size, table_of
+from gonio.table.table import Table
+from microgeometry.errors import InputError
+
+Array = NDArray[np.float64]
+
+_SAME = np.radians(0.02)  # angles closer than this are one
+_SPARSE = 4.0  # places of a grid per sample
+
+
+def table_from_points(
+    path: Path,
+    theta_i: Array,
+    theta_r: Array,
+    delta_phi: Array,
+    values: Array,
+    channels: tuple[str, ...],
+    std_error: Array | None = None,
+    **fields: Any,
+) -> Table:
+    """A table of samples; places without one are gaps. Samples of one place are averaged.
+
+    Parameters
+    ----------
+    path : Path
+        Their file.
+    theta_i, theta_r : ndarray, shape (N,)
+        Radians, in [0, pi/2].
+    delta_phi : ndarray, shape (N,)
+        Radians; any, folded to [0, pi] here.
+    values : ndarray, shape (N, C)
+    channels : tuple of str
+    std_error : ndarray, shape (N, C), optional
+    **fields
+        As in `Table`.
+
+    Raises
+    ------
+    InputError
+        No samples, or angles out of range.
+    """
+    if len(theta_i) == 0:
+        raise InputError(f"{path}: holds no samples")
+    for name, angle in (("theta_i", theta_i), ("theta_r", theta_r)):
+        if angle.min() < -1e-6 or angle.max() > np.pi / 2 + 1e-5:
+            raise InputError(
+                f"{path}: {name} from {np.degrees(angle.min()):.4g} to {np.degrees(angle.max()):.4g} degrees; "
+                "0 to 90 is allowed"
+            )
+    delta_phi = np.abs((delta_phi + np.pi) % (2 * np.pi) - np.pi)
+    rows, row = _nodes(np.clip(theta_i, 0, np.pi / 2))
+    rings, ring = _nodes(np.clip(theta_r, 0, np.pi / 2))
+    sectors, sector = _nodes(delta_phi)
+    if len(rows) * len(rings) * len(sectors) <= _SPARSE * len(theta_i):
+        edges, ring_source = cells_around(rings, np.pi / 2)
+        phi_edges, sector_source = cells_around(sectors, np.pi)
+        on_normal = (rows < _SAME)[:, None] | np.append(rings < _SAME, False)[ring_source]
+        ring, sector = _cell_of(ring_source)[ring], _cell_of(sector_source)[sector]
+    else:
+        if len(rows) > 90:
+            rows, row = _bins(theta_i, np.pi / 2, 90)
+        n = int(np.clip(np.sqrt(len(theta_i) / len(rows)), 6, 90))
+        edges, phi_edges = np.linspace(0, np.pi / 2, n + 1), np.linspace(0, np.pi, n + 1)
+        ring = np.minimum((theta_r / (np.pi / 2) * n).astype(int), n - 1)
+        sector = np.minimum((delta_phi / np.pi * n).astype(int), n - 1)
+        on_normal = np.zeros((len(rows), n), bool)
+    shape = (len(rows), len(edges) - 1, len(phi_edges) - 1)
+    n_channels = values.shape[1]
+    check_size(path, float(np.prod(shape)) * n_channels, "angles")
+    place = np.ravel_multi_index((row, ring, sector), shape)
+
+    def total(numbers: Array) -> Array:
+        """Sums over the samples of each cell, shape (I, R, P)."""
+        sums = np.bincount(place, numbers, int(np.prod(shape))).astype(float).reshape(shape)
+        sums[on_normal] = sums[on_normal].sum(axis=1, keepdims=True)
+        return sums
+
+    count = total(np.ones(len(place)))[..., None]
+    gaps = count[..., 0] == 0
+
+    def mean(numbers: Array) -> Array:
+        return np.stack([total(column) for column in numbers.T], axis=-1) / np.maximum(count, 1)
+
+    if std_error is not None:
+        # of means of as many samples as fell into the cell, taken as independent; unknown where there is none
+        error = np.sqrt(mean(std_error**2) / np.maximum(count, 1))
+        error[gaps] = np.inf
+        fields["std_error"] = error
+    return table_of(mean(values), gaps, rows, edges, phi_edges, channels, **fields)
+
+
+def _nodes(angles: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Distinct angles, those closer than `_SAME` to the one before taken as one, and which each sample has."""
+    order = np.argsort(angles, kind="stable")
+    new = np.concatenate([[True], np.diff(angles[order]) > _SAME])
+    index = np.empty(len(angles), np.int64)
+    index[order] = np.cumsum(new) - 1
+    return np.bincount(index, angles) / np.bincount(index), index
+
+
+def _bins(angles: Array, last: float, n: int) -> tuple[Array, NDArray[np.int64]]:
+    """Middles of the uniform bins that hold an angle, and which each sample is in."""
+    taken, index = np.unique(np.minimum((angles / last * n).astype(int), n - 1), return_inverse=True)
+    return (taken + 0.5) * last / n, index
+
+
+def _cell_of(source: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The cell of each node, from the node of each cell."""
+    cells = np.flatnonzero(source >= 0)
+    return cells[np.argsort(source[cells])]

@@ -1,0 +1,387 @@
+"""WINDOW and Radiance BSDF files `.xml`: Klems matrices and isotropic tensor trees.
+
+Values are f in 1/sr without cosine; of a matrix rows are outgoing patches, columns incident ones. A file may
+hold reflection and transmission of both sides; the front is read, or the back where there is no front.
+Transmission is a part. Colour: besides ``Visible`` (Y) a matrix may have CIE-X and CIE-Z, a tree CIE-u and
+CIE-v, the chromaticities u', v'. Red, green and blue are then Radiance's own, whose white is of equal energy:
+grey stays grey.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree.ElementTree import Element, ParseError
+from xml.sax.saxutils import escape
+
+import numpy as np
+from defusedxml import DefusedXmlException
+from defusedxml import ElementTree as safe_xml
+from numpy.typing import NDArray
+
+from gonio.core.directions import direction
+from gonio.files import atomic
+from gonio.formats.cells import average_cells, row_centres, table_of, uniform_grid
+from gonio.formats.klems import BASES, Klems
+from gonio.formats.losses import common_losses
+from gonio.formats.tensor_tree import TensorTree, coordinates, directions, tree_text
+from gonio.formats.text import to_numbers
+from gonio.table.parts import TRANSMISSION
+from gonio.table.table import Table
+from microgeometry.errors import InputError
+
+Array = NDArray[np.float64]
+
+_FULL = "LBNL/Klems Full"
+_TREE = "LBNL/Shirley-Chiu"
+_LEVELS = 6  # of a tree that is written: 64 cells an axis
+_TOLERANCE = 0.02
+_SECTORS = 36  # of delta phi, in reading a matrix
+
+
+def _rgb_to_xyz() -> Array:
+    """Radiance's primaries (src/common/color.h): white at x = y = 1/3."""
+    xy = np.array([[0.640, 0.330], [0.290, 0.600], [0.150, 0.060]])
+    primaries = np.column_stack([xy[:, 0] / xy[:, 1], np.ones(3), (1 - xy.sum(axis=1)) / xy[:, 1]]).T
+    return primaries * np.linalg.solve(primaries, np.ones(3))
+
+
+_XYZ = _rgb_to_xyz()
+_RGB = np.linalg.inv(_XYZ)
+
+
+def read(path: Path) -> Table:
+    """Read a file of Klems matrices (full, half or quarter) or isotropic tensor trees.
+
+    A matrix gives rows and rings that are the basis's own, averaged over the incident patches of a ring.
+
+    Returns
+    -------
+    Table
+        Channel Y, or R, G, B. A file of transmission alone is a table of gaps with that part.
+
+    Raises
+    ------
+    InputError
+        No XML, entities or a document type, no BSDF, an unknown basis, or numbers that are missing.
+    """
+    try:
+        root = safe_xml.fromstring(path.read_bytes(), forbid_dtd=True)
+    except (ParseError, DefusedXmlException, ValueError, LookupError) as error:
+        reason = " ".join(str(error).split())[:100] or type(error).__name__
+        raise InputError(f"{path}: no XML that can be read safely ({reason}); copy it again") from error
+    structure = next((_text(e) for e in _all(root, "IncidentDataStructure")), "")
+    if structure not in ("Columns", "Rows", "TensorTree3"):
+        raise InputError(
+            f"{path}: IncidentDataStructure {structure[:40]!r}; Columns, Rows and TensorTree3 (isotropic) are read"
+        )
+    blocks: dict[str, dict[str, Element]] = {}
+    for data in _all(root, "WavelengthData"):
+        kind = next((_text(e) for e in _all(data, "Wavelength")), "")
+        for block in _all(data, "WavelengthDataBlock"):
+            where = next((_text(e) for e in _all(block, "WavelengthDataDirection")), "").lower()
+            blocks.setdefault(where, {})[kind.lower()] = block
+    found = {
+        name: next(
+            (blocks[f"{name} {side}"] for side in ("front", "back") if f"{name} {side}" in blocks), None
+        )
+        for name in ("reflection", TRANSMISSION)
+    }
+    lost = [
+        f"{where}: one side is read"
+        for where in blocks
+        if where.endswith("back") and where[:-4] + "front" in blocks
+    ]
+    known = {name: kinds for name, kinds in found.items() if kinds is not None and "visible" in kinds}
+    if not known:
+        raise InputError(
+            f"{path}: no reflection or transmission in the wavelengths Visible; is it a BSDF file?"
+        )
+    tabulate = _tabulate_tree if structure == "TensorTree3" else _tabulate_matrix
+    tables = tabulate(path, known, structure)
+    main = tables.get("reflection")
+    if main is None:
+        part = tables[TRANSMISSION]
+        gaps = np.ones(part.values.shape[:3], bool)
+        main = part.replace(values=0 * part.values, row_albedo=0 * part.row_albedo, gaps=gaps)
+    parts = {TRANSMISSION: tables[TRANSMISSION]} if TRANSMISSION in tables else {}
+    provenance = {"source": path.name, "format": f"WINDOW/Radiance XML, {structure}", "lost": lost}
+    return main.replace(parts=parts, provenance=provenance)
+
+
+def write(table: Table, path: Path) -> list[str]:
+    """Write a full Klems matrix, or, where the name ends in ``.tree.xml``, an isotropic tensor tree.
+
+    Parameters
+    ----------
+    table : Table
+        Of one channel, or three, taken as R, G, B. Its part "transmission" is written as well.
+    path : Path
+
+    Returns
+    -------
+    list of str
+        What was lost.
+
+    Raises
+    ------
+    InputError
+        Another number of channels.
+    OSError
+        The file cannot be written.
+    """
+    n_channels = len(table.channels)
+    if n_channels not in (1, 3):
+        raise InputError(
+            f"{path}: these files hold one channel or three, the table has {n_channels} channels {table.channels}; "
+            "select or convert to three first"
+        )
+    tree = path.name.lower().endswith(".tree.xml")
+    sides = {"Reflection Front": table}
+    if TRANSMISSION in table.parts:
+        sides["Transmission Front"] = table.parts[TRANSMISSION]
+    data: dict[str, list[tuple[str, str]]] = {}
+    for where, side in sides.items():
+        for kind, text in (_tree_texts(side) if tree else _matrix_texts(side)).items():
+            data.setdefault(kind, []).append((where, text))
+    with atomic(path) as temporary:
+        temporary.write_text(_document(path.name, tree, data), encoding="utf-8")
+    losses = common_losses(table, "this format", keeps=("transmission",))
+    grid = f"1/{2**_LEVELS} of the square" if tree else "the 145 patches of Klems, 10 degrees and more"
+    return [*losses, f"what is finer than {grid}", "provenance, ledger and the grid of the rows"]
+
+
+def _all(element: Element, name: str) -> Iterator[Element]:
+    """Descendants of a name, whatever their namespace."""
+    return (e for e in element.iter() if isinstance(e.tag, str) and e.tag.rpartition("}")[2] == name)
+
+
+def _text(element: Element) -> str:
+    return (element.text or "").strip()
+
+
+def _data(block: Element, path: Path) -> str:
+    for element in _all(block, "ScatteringData"):
+        return element.text or ""
+    raise InputError(f"{path}: a WavelengthDataBlock without ScatteringData; copy it again")
+
+
+# --- matrices ------------------------------------------------------------------------------------------
+
+
+def _tabulate_matrix(path: Path, known: dict[str, dict[str, Element]], structure: str) -> dict[str, Table]:
+    colours = ("cie-x", "visible", "cie-z")
+    coloured = all(c in kinds for kinds in known.values() for c in colours)
+    wanted = colours if coloured else ("visible",)
+    first: Klems | None = None
+    tables = {}
+    for name, kinds in known.items():
+        bases, matrices = zip(*(_matrix(kinds[kind], path, structure) for kind in wanted), strict=True)
+        if any(basis.name != (first or bases[0]).name for basis in bases):
+            raise InputError(f"{path}: matrices of different bases; one basis for all is read")
+        basis = first = bases[0]
+        data = np.stack(matrices, axis=-1)  # (out, in, channel)
+        data = data @ _RGB.T if coloured else data
+        phi_edges = np.linspace(0, np.pi, _SECTORS + 1)
+
+        def look(
+            row: int, theta: Array, phi: Array, basis: Klems = basis, data: Array = data
+        ) -> tuple[Array, NDArray[np.bool_]]:
+            incident = range(basis.first[row], basis.first[row + 1])
+            total = np.zeros((len(theta), data.shape[2]))
+            for patch in incident:
+                for azimuth in basis.points(patch, 1, 4)[1]:
+                    # the patch is that of the direction of travel, opposite to the light's
+                    total += data[basis.index(theta, azimuth + np.pi + phi), patch]
+            return total / (4 * len(incident)), np.ones(len(theta), bool)
+
+        n_rows = len(basis.counts)
+        values, gaps = average_cells(look, n_rows, basis.edges, phi_edges, data.shape[2], points=(1, 2))
+        tables[name] = table_of(
+            values,
+            gaps,
+            0.5 * (basis.edges[1:] + basis.edges[:-1]),
+            basis.edges,
+            phi_edges,
+            ("R", "G", "B") if coloured else ("Y",),
+            theta_i_edges=basis.edges,
+        )
+    return tables
+
+
+def _matrix(block: Element, path: Path, structure: str) -> tuple[Klems, Array]:
+    """Basis, and values by outgoing and incident patch."""
+    names = {
+        _text(e)
+        for tag in ("ColumnAngleBasis", "RowAngleBasis", "AngleBasis")
+        for e in _all(block, tag)
+        if _text(e)
+    }
+    if len(names) != 1 or not names <= set(BASES):
+        found = ", ".join(sorted(names))[:100] or "none"
+        raise InputError(
+            f"{path}: angle basis {found}; one of {', '.join(BASES)} for rows and columns is read"
+        )
+    basis = Klems(names.pop())
+    words = _data(block, path).replace(",", " ").split()
+    if len(words) != basis.size**2:
+        raise InputError(f"{path}: {len(words)} numbers of ScatteringData; {basis.size**2} are expected")
+    matrix = to_numbers(words, "ScatteringData", path).reshape(basis.size, basis.size)
+    return basis, matrix if structure == "Columns" else matrix.T
+
+
+def _matrix_texts(table: Table) -> dict[str, str]:
+    """ScatteringData of a table by kind of wavelength."""
+    basis = Klems(_FULL)
+    n_channels = len(table.channels)
+    matrix = np.empty((basis.size, basis.size, n_channels))
+    points = [basis.points(patch, 3, 3) for patch in range(basis.size)]
+    wo = np.stack([direction(*p) for p in points])
+    for incident in range(basis.size):
+        theta, phi = basis.points(incident, 3, 3)
+        wi = direction(theta, phi + np.pi)
+        # every point of the incident patch with every point of the outgoing ones
+        matrix[:, incident] = np.mean([table.eval(w, wo).mean(axis=1) for w in wi], axis=0)
+    if n_channels == 1:
+        planes = {"Visible": matrix[..., 0]}
+    else:
+        xyz = matrix @ _XYZ.T
+        planes = {"Visible": xyz[..., 1], "CIE-X": xyz[..., 0], "CIE-Z": xyz[..., 2]}
+    return {
+        kind: "\n".join(", ".join(f"{v:.6g}" for v in row) + "," for row in plane)
+        for kind, plane in planes.items()
+    }
+
+
+# --- tensor trees --------------------------------------------------------------------------------------
+
+
+def _tabulate_tree(path: Path, known: dict[str, dict[str, Element]], structure: str) -> dict[str, Table]:
+    colours = ("visible", "cie-u", "cie-v")
+    coloured = all(c in kinds for kinds in known.values() for c in colours)
+    trees = {
+        name: [TensorTree(_data(kinds[kind], path), path) for kind in (colours if coloured else colours[:1])]
+        for name, kinds in known.items()
+    }
+    finest = max(tree.resolution for group in trees.values() for tree in group)
+    n_channels = 3 if coloured else 1
+    n = uniform_grid(path, n_channels * len(trees), min(90, finest))
+    edges, phi_edges = np.linspace(0, np.pi / 2, n + 1), np.linspace(0, np.pi, 2 * n + 1)
+    rows = row_centres(edges)
+    tables = {}
+    for name, group in trees.items():
+
+        def look(
+            row: int, theta: Array, phi: Array, group: list[TensorTree] = group
+        ) -> tuple[Array, NDArray[np.bool_]]:
+            points = coordinates(rows[row], theta, phi)
+            luminance, *chroma = (tree.look_up(points) for tree in group)
+            values = luminance[:, None]
+            if chroma:
+                u, v = chroma[0], np.maximum(chroma[1], 1e-6)
+                xyz = np.stack([2.25 * u / v, np.ones_like(u), (3 - 0.75 * u - 5 * v) / v], axis=-1)
+                values = values * (xyz @ _RGB.T)
+            return values, np.ones(len(theta), bool)
+
+        values, gaps = average_cells(look, n, edges, phi_edges, n_channels)
+        tables[name] = table_of(
+            values,
+            gaps,
+            0.5 * (edges[1:] + edges[:-1]),
+            edges,
+            phi_edges,
+            ("R", "G", "B") if coloured else ("Y",),
+            theta_i_edges=edges,
+        )
+    return tables
+
+
+def _tree_texts(table: Table) -> dict[str, str]:
+    """ScatteringData of a table by kind of wavelength."""
+    n = 2**_LEVELS
+    centre = (np.arange(2 * n) + 0.5) / (2 * n)
+    n_channels = len(table.channels)
+    grid = np.zeros((n, n, n, n_channels))
+    for i in range(n // 2):  # beyond 0.5 there is no incidence
+        total = np.zeros((n, n, n_channels))
+        for g0 in centre[2 * i : 2 * i + 2]:
+            square = np.stack(np.meshgrid([g0], centre, centre, indexing="ij"), axis=-1)[0]
+            theta_in, theta_out, phi = directions(square)
+            f = table.eval(direction(theta_in[0, 0]), direction(theta_out, phi))
+            total += f.reshape(n, 2, n, 2, n_channels).mean(axis=(1, 3))
+        grid[i] = grid[n - 1 - i] = 0.5 * total
+    if n_channels == 1:
+        return {"Visible": tree_text(grid[..., 0], _TOLERANCE)}
+    xyz = grid @ _XYZ.T
+    scale = xyz @ np.array([1.0, 15.0, 3.0])
+    lit = scale > 0
+    # what is dark has the chromaticity of white
+    u = np.divide(4 * xyz[..., 0], scale, out=np.full_like(scale, 4 / 19), where=lit)
+    v = np.divide(9 * xyz[..., 1], scale, out=np.full_like(scale, 9 / 19), where=lit)
+    planes = {
+        "Visible": (xyz[..., 1], _TOLERANCE),
+        "CIE-u": (u, 0.25 * _TOLERANCE),
+        "CIE-v": (v, 0.25 * _TOLERANCE),
+    }
+    return {kind: tree_text(plane, tolerance) for kind, (plane, tolerance) in planes.items()}
+
+
+# --- the document --------------------------------------------------------------------------------------
+
+
+def _document(name: str, tree: bool, data: dict[str, list[tuple[str, str]]]) -> str:
+    basis = _TREE if tree else _FULL
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        '<WindowElement xmlns="http://windows.lbl.gov" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance">',
+        "<WindowElementType>System</WindowElementType>",
+        "<FileType>BSDF</FileType>",
+        "<Optical>",
+        "<Layer>",
+        f"<Material><Name>{escape(name)}</Name><Manufacturer>gonio</Manufacturer></Material>",
+        "<DataDefinition>",
+        f"<IncidentDataStructure>{'TensorTree3' if tree else 'Columns'}</IncidentDataStructure>",
+        *([] if tree else _basis_definition()),
+        "</DataDefinition>",
+    ]
+    for kind, sides in data.items():
+        for where, text in sides:
+            angle_basis = (
+                [f"<AngleBasis>{basis}</AngleBasis>"]
+                if tree
+                else [
+                    f"<ColumnAngleBasis>{basis}</ColumnAngleBasis>",
+                    f"<RowAngleBasis>{basis}</RowAngleBasis>",
+                ]
+            )
+            lines += [
+                "<WavelengthData>",
+                "<LayerNumber>System</LayerNumber>",
+                f'<Wavelength unit="Integral">{kind}</Wavelength>',
+                "<SourceSpectrum>CIE Illuminant E 1nm.ssp</SourceSpectrum>",
+                "<DetectorSpectrum>ASTM E308 1931 Y.dsp</DetectorSpectrum>",
+                "<WavelengthDataBlock>",
+                f"<WavelengthDataDirection>{where}</WavelengthDataDirection>",
+                *angle_basis,
+                f"<ScatteringDataType>B{'T' if where.startswith('T') else 'R'}DF</ScatteringDataType>",
+                "<ScatteringData>",
+                text,
+                "</ScatteringData>",
+                "</WavelengthDataBlock>",
+                "</WavelengthData>",
+            ]
+    return "\n".join([*lines, "</Layer>", "</Optical>", "</WindowElement>", ""])
+
+
+def _basis_definition() -> list[str]:
+    lines = ["<AngleBasis>", f"<AngleBasisName>{_FULL}</AngleBasisName>"]
+    bounds, counts = BASES[_FULL]
+    for n, count in enumerate(counts):
+        centre = 0 if n == 0 else 0.5 * (bounds[n] + bounds[n + 1])
+        lines += [
+            f"<AngleBasisBlock><Theta>{centre:g}</Theta><nPhis>{count}</nPhis>",
+            f"<ThetaBounds><LowerTheta>{bounds[n]:g}</LowerTheta>",
+            f"<UpperTheta>{bounds[n + 1]:g}</UpperTheta></ThetaBounds>",
+            "</AngleBasisBlock>",
+        ]
+    return [*lines, "</AngleBasis>"]

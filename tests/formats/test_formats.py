@@ -1,0 +1,84 @@
+"""What all formats share: choice by suffix and content, and what a conversion reports."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from gonio import formats
+from gonio.table.table import Table
+from microgeometry.errors import InputError
+from tests.formats.test_lists import write_lighttools
+from tests.formats.test_zemax import write_file
+from tests.table.tables import asymmetric, grid, lambert, make
+
+
+@pytest.fixture
+def saved(tmp_path):
+    table = make(asymmetric, grid(12, 12, 18), specular=0.02)
+    table = table.replace(std_error=0.01 * table.values)
+    table.save(tmp_path / "t.h5")
+    return tmp_path / "t.h5"
+
+
+@pytest.mark.compiled
+def test_bsdf_files_are_told_apart_by_content(tmp_path):
+    make(lambert, grid(6, 6, 8)).save(tmp_path / "rgl.bsdf")
+    write_file(tmp_path / "zemax.bsdf", lambert)
+    write_lighttools(tmp_path / "lighttools.bsdf")
+    for name, called in (("rgl", "RGL"), ("zemax", "Zemax"), ("lighttools", "LightTools")):
+        shutil.copy(tmp_path / f"{name}.bsdf", tmp_path / "x.BSDF")
+        assert Table.load(tmp_path / "x.BSDF").provenance["format"] == called
+    make(lambert, grid(6, 6, 8)).save(tmp_path / "t.zemax.bsdf")
+    assert (tmp_path / "t.zemax.bsdf").read_text().startswith("#")
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", ["t.bsdf", "t.zemax.bsdf", "t.xml", "t.csv", "t.npz"])
+def test_conversion_says_what_it_lost_and_how_far_off_it_is(name, saved):
+    done = formats.convert(saved, saved.parent / name)
+    exact = name in ("t.csv", "t.npz")
+    assert ("error bars" in done.lost) != exact
+    assert any("delta" in what for what in done.lost) != exact
+    if exact:
+        assert done.worst < 1e-7
+    else:
+        assert 1e-4 < done.error <= done.worst < 0.2
+        assert done.albedo_error < 0.02
+
+
+@pytest.mark.compiled
+def test_error_is_that_of_a_wrong_file(saved):
+    """Twice the values: an error of 1; light and detector exchanged: more than a conversion's."""
+    table = Table.load(saved)
+    doubled = table.replace(values=2 * table.values, row_albedo=2 * (table.row_albedo - 0.02) + 0.02)
+    np.testing.assert_allclose(formats._compare(table, doubled), 1.0, rtol=1e-4)
+    swapped = make(lambda wi, wo: asymmetric(wo, wi), grid(12, 12, 18), specular=0.02)
+    assert formats._compare(table, swapped)[0] > 0.1
+
+
+def test_what_reading_lost_is_reported(tmp_path):
+    write_file(tmp_path / "z.bsdf", lambert, "Asymmetrical4D", rotations=(0, 90))
+    done = formats.convert(tmp_path / "z.bsdf", tmp_path / "z.h5")
+    assert done.lost == ("2 rotations of the sample: they are averaged",)
+    assert done.error == 0
+
+
+def test_targets_that_cannot_be(tmp_path):
+    for name in ("t.astm", "t.brdf", "t.anisotropicbsdf", "t.xompt"):
+        with pytest.raises(
+            InputError, match=r"only read; written are \.h5, \.binary, \.bsdf, \.xml, \.csv, \.npz"
+        ):
+            formats.check_target(tmp_path / name)
+    with pytest.raises(InputError, match="does not exist; create it first"):
+        formats.check_target(tmp_path / "absent" / "t.csv")
+
+
+def test_errors_of_the_table_name_the_file(tmp_path):
+    """Values that no table may hold, found only when it is built."""
+    path = write_file(tmp_path / "z.bsdf", lambert)
+    path.write_text(path.read_text().replace("1.591549e-01", "1e308"))
+    with pytest.raises(InputError, match=f"{path}: (values|row_albedo): contains NaN or infinity"):
+        Table.load(path)
