@@ -10,9 +10,11 @@ from pathlib import Path
 import click
 
 from gonio import formats
+from gonio.interrupt import uninterrupted
 from gonio.progress import progress_bar
 from gonio.summary import summary, summary_text
 from gonio.table.table import Table
+from gonio.trace.checkpoint import EVERY, Checkpoint
 
 _PATH = click.Path(path_type=Path)
 _OUT = click.option("-o", "--out", required=True, type=_PATH, help="File to write.")
@@ -24,44 +26,82 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON obj
 @_OUT
 @click.option("--rays", type=int, help="Paths to trace over all rows (default 20 million).")
 @click.option("--time", "seconds", type=float, help="Trace for so many seconds instead.")
+@click.option(
+    "--target-error",
+    type=float,
+    help="Go on until the relative standard error of the cells that hold 99 % of the light is below this, and "
+    "the albedo's below a tenth of it; or until --rays or --time is spent.",
+)
 @click.option("--seed", type=int, default=0, show_default=True, help="Same seed, same bits.")
 @click.option("--threads", type=int, help="Default: all processors. Does not change the result.")
 @click.option("--estimator", type=click.Choice(["analog"]), default="analog", show_default=True)
+@click.option("--resume", is_flag=True, help="Go on from OUT.checkpoint, if an unfinished run left one.")
+@click.option(
+    "--checkpoint",
+    "every",
+    type=float,
+    default=EVERY,
+    show_default=True,
+    help="Seconds between checkpoints; 0 for none.",
+)
+@click.option("--dask", metavar="ADDR", help="Let the workers of this dask scheduler trace the batches.")
 def trace(
     spec: Path,
     out: Path,
     rays: int | None,
     seconds: float | None,
+    target_error: float | None,
     seed: int,
     threads: int | None,
     estimator: str,
+    resume: bool,
+    every: float,
+    dask: str | None,
 ) -> None:
     """Trace the specimen SPEC (a TOML file) to a BRDF table.
 
-    Ctrl-C stops early and saves what has been traced.
+    Ctrl-C stops early and saves what has been traced. What is not complete, because of Ctrl-C or of worse,
+    goes on with --resume, to the same table bit for bit.
     """
     from gonio.trace.measure import run, start
     from microgeometry.specimen import load_specimen
 
     formats.check_target(out)
-    measurement = start(load_specimen(spec), rays, seconds, seed, threads)
+    measurement = start(load_specimen(spec), rays, seconds, seed, threads, target_error)
+    checkpoint = Checkpoint(out, measurement, every)
+    if checkpoint.begin(resume):
+        click.echo(f"gonio: going on after {measurement.tally.batches} batches", err=True)
+    elif resume:
+        click.echo(f"gonio: no {checkpoint.path}: starting anew", err=True)
     interrupted = False
     with progress_bar(f"trace {spec.name}") as report:
         try:
-            run(measurement, seconds, report)
+            run(measurement, seconds, report, checkpoint, dask)
         except KeyboardInterrupt:
             if measurement.tally.batches == 0:
                 raise
             interrupted = True
-    table = measurement.table()
-    command = " ".join(["gonio", *sys.argv[1:]])
-    table = table.replace(provenance={**table.provenance, "command": command, "interrupted": interrupted})
-    formats.write(table, out)
+    with uninterrupted():
+        if interrupted and every:
+            checkpoint.save()
+        table = measurement.table()
+        command = " ".join(["gonio", *sys.argv[1:]])
+        table = table.replace(provenance={**table.provenance, "command": command, "interrupted": interrupted})
+        formats.write(table, out)
+        if not interrupted:
+            checkpoint.remove()
     click.echo(_one_line(table, out))
+    if one := table.provenance.get("one_realisation"):
+        click.echo(f"one realisation: {one}")
+    if target_error is not None:
+        met = "met" if table.provenance["target_met"] else "NOT met"
+        click.echo(f"target {met}: {table.provenance['target_reached']}")
     if interrupted:
+        planned = measurement.planned_batches
+        of = "" if planned is None else f" of {planned}"
+        further = "; --resume goes on" if every else ""
         click.echo(
-            f"gonio: interrupted after {measurement.tally.batches} of {measurement.planned_batches} batches; "
-            f"{out} holds what they gave",
+            f"gonio: interrupted after {measurement.tally.batches}{of} batches; {out} holds what they gave{further}",
             err=True,
         )
         raise click.exceptions.Exit(130)
@@ -167,7 +207,9 @@ COMMANDS = (trace, info, check, compress, convert, bench)
 
 def _one_line(table: Table, path: Path) -> str:
     p = table.provenance
+    merit = p["figure_of_merit"]
     return (
         f"{path}: {p['paths'] / 1e6:.1f} M paths in {p['seconds']:.1f} s ({p['paths_per_second'] / 1e6:.2f} M/s), "
         f"{p['batches']} batches, albedo {table.row_albedo.mean():.4f} +- {table.albedo_std_error.max():.1e}"
+        + ("" if merit is None else f", merit {merit:.3g} / (relative variance x s)")
     )

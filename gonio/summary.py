@@ -80,6 +80,11 @@ def summary_text(data: Mapping[str, Any]) -> str:
         )
     if data["figure_of_merit"]:
         lines.append(f"merit         {data['figure_of_merit']:.3g} / (relative variance x s)")
+    if data["target_met"] is not None:
+        met = "met" if data["target_met"] else "NOT met"
+        lines.append(f"target        {met}: {data['provenance'].get('target_reached', '')}")
+    if one := data["provenance"].get("one_realisation"):
+        lines.append(f"realisation   {one}")
     width = max(map(len, data["ledger"]), default=0)
     lines += [f"  {name:{width}}  {energy:.6g}" for name, energy in data["ledger"].items()]
     theta_i = data["theta_i_deg"]

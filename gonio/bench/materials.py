@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from gonio.table.checks import relative_noise
-from gonio.trace.measure import Measurement
+from gonio.trace.measurement import Measurement
 from microgeometry.specimen import parse_specimen
 
 _PATHS = 1 << 17

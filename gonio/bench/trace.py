@@ -20,7 +20,7 @@ from gonio.bench.bare import trace_mirror
 from gonio.core.directions import direction
 from gonio.core.lookup import axis
 from gonio.core.parallel import for_each
-from gonio.trace.measure import Measurement
+from gonio.trace.measurement import Measurement
 from gonio.trace.scene import TraceScene, periodic_vertices
 from microgeometry.specimen import parse_specimen
 from microgeometry.tile import HeightField

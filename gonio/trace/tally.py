@@ -1,4 +1,4 @@
-"""Tallies: batches in, mean and standard error out (Welford's update, so no cancellation).
+"""Tallies: batches in, mean and standard error out.
 
 Light is told apart into sheets, by the hemisphere it leaves into and the number of its bounces:
 sheet = hemisphere * orders + order. Hemisphere 0 is reflected, 1 transmitted; order n has bounced n + 1
@@ -8,14 +8,14 @@ trace that asks for no orders has one order: its only sheet is then its total.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from gonio.core.jit import kernel
 from gonio.core.parallel import for_each
 from gonio.trace.analog import LEDGER, LEDGER_COLUMNS, RAYS
+from gonio.trace.sheets import RowCounts, SheetTally
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ class Tally:
     rows, cells, channels : int
         Rows of incidence, cells of one row and hemisphere, channels.
     chunks : int
-        Units into which the tracer cuts a row, each with an accumulator of its own.
+        Units into which the tracer cuts a pass, each with an accumulator of its own.
     hemispheres : int
         1: reflected light only; 2: transmitted light as well.
     orders : int
@@ -43,6 +43,8 @@ class Tally:
 
     Attributes
     ----------
+    batches, rays : int
+    rows : RowCounts
     totals : list of SheetTally
         All light of each hemisphere.
     orders : list of list of SheetTally
@@ -63,52 +65,72 @@ class Tally:
     ) -> None:
         self.batches = 0
         self.rays = 0
+        self.rows = RowCounts(rows)
         self.ledger: dict[str, float] = dict.fromkeys(("paths", *LEDGER, *ledger_names), 0.0)
         # energies by the column of the ledger that holds them
         self._columns = dict(enumerate(LEDGER)) | dict(enumerate(ledger_names, LEDGER_COLUMNS))
-        self.totals = [SheetTally(rows, cells, channels, h * orders, orders) for h in range(hemispheres)]
+        shape = rows, cells, channels
+        self.totals = [SheetTally(self.rows, *shape, h * orders, orders) for h in range(hemispheres)]
         self.orders: list[list[SheetTally]] = [
-            [SheetTally(rows, cells, channels, h * orders + n) for n in range(orders if orders > 1 else 0)]
+            [SheetTally(self.rows, *shape, h * orders + n) for n in range(orders if orders > 1 else 0)]
             for h in range(hemispheres)
         ]
         sheets = hemispheres * orders
-        self._cells = np.zeros((rows, chunks, sheets, cells, channels + 1))
-        self._specular = np.zeros((rows, chunks, sheets, channels))
-        self._energy = np.zeros((rows, chunks, sheets, channels))
-        self._ledger = np.zeros((rows, chunks, LEDGER_COLUMNS + len(ledger_names)))
+        self._cells, self._specular, self._energy, self._ledger = new_accumulators(
+            rows, cells, channels, chunks, sheets, len(ledger_names)
+        )
 
     @property
     def accumulators(self) -> tuple[Array, Array, Array, Array]:
-        """Where a batch is summed, a row and chunk for each unit of work.
+        """Where a batch is summed, a slot and chunk for each unit of work.
+
+        There are as many slots as rows, each for one pass of some row; the passes of row 0 take the first
+        slots, then come those of row 1, and so on.
 
         Returns
         -------
-        cells : ndarray, shape (rows, chunks, sheets, cells, channels + 1)
+        cells : ndarray, shape (slots, chunks, sheets, cells, channels + 1)
             Sums of weights, and in the last column the number of paths; without the delta term.
-        specular : ndarray, shape (rows, chunks, sheets, channels)
+        specular : ndarray, shape (slots, chunks, sheets, channels)
             The delta term.
-        energy : ndarray, shape (rows, chunks, sheets, channels)
+        energy : ndarray, shape (slots, chunks, sheets, channels)
             All energy of the sheet, the delta term included.
-        ledger : ndarray, shape (rows, chunks, LEDGER_COLUMNS + len(ledger_names))
+        ledger : ndarray, shape (slots, chunks, LEDGER_COLUMNS + len(ledger_names))
         """
         return self._cells, self._specular, self._energy, self._ledger
 
-    def close_batch(self, paths_per_row: int, threads: int | None = None) -> None:
-        """Take the sums in the accumulators as one batch of so many paths a row, and clear them."""
+    def close_batch(self, passes: ArrayLike, paths_per_pass: int, threads: int | None = None) -> None:
+        """Take the sums in the accumulators as one batch, and clear them.
+
+        Parameters
+        ----------
+        passes : array_like of int, shape (rows,)
+            Of each row; no more than there are rows in all.
+        paths_per_pass : int
+        threads : int, optional
+        """
+        passes = np.asarray(passes, np.int64)
+        last = np.cumsum(passes)
         self.batches += 1
+        rescale = self.rows.begin_batch(passes, paths_per_pass)
         # orders first: totals add up their sums
-        sheets = [*(sheet for hemisphere in self.orders for sheet in hemisphere), *self.totals]
-        for sheet in sheets:
-            sheet.add_rows(self._specular, self._energy, paths_per_row)
+        sheets = [*self._order_sheets(), *self.totals]
 
         def close(row: int) -> None:
+            if passes[row] == 0:
+                return
+            mine = slice(int(last[row] - passes[row]), int(last[row]))
+            scale = 1.0 / (int(passes[row]) * paths_per_pass)
             for sheet in sheets:
-                sheet.add_cells(row, self._cells[row], paths_per_row)
-            self._cells[row, 0] = 0.0
+                if rescale[row] != 1.0:
+                    sheet.rescale(row, float(rescale[row]))
+                sheet.add_energies(row, self._specular[mine], self._energy[mine], scale)
+                sheet.add_cells(row, self._cells[mine], scale)
+            self._cells[mine.start, 0] = 0.0
 
-        for_each(close, len(self._cells), threads)
+        for_each(close, len(passes), threads)
         ledger = self._ledger.sum(axis=(0, 1))
-        self.ledger["paths"] += paths_per_row * len(self._cells)
+        self.ledger["paths"] += paths_per_pass * int(last[-1])
         for column, name in self._columns.items():
             self.ledger[name] += float(ledger[column])
         self.rays += int(ledger[RAYS])
@@ -121,117 +143,55 @@ class Tally:
             return float("inf")
         worst = 0.0
         for sheet in self.totals:
-            energy, error, _, _ = sheet.rows()
+            energy, error, _, _ = sheet.energies()
             relative = error / np.maximum(energy, 1e-300)
             worst = max(worst, float(np.max(relative, initial=0.0, where=energy > 0)))
         return worst
 
+    def state(self) -> dict[str, NDArray]:
+        """All that was learned so far, as arrays by name; not copies."""
+        ledger = np.array([self.batches, self.rays, *self.ledger.values()], float)
+        found: dict[str, NDArray] = {"ledger": ledger}
+        for name, holder in self._holders():
+            for field, array in vars(holder).items():
+                if isinstance(array, np.ndarray):
+                    found[f"{name}{field}"] = array
+        return found
 
-class SheetTally:
-    """Running mean and variance of one sheet, or of the sum of several.
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Go on from a `state` of a tally with the same arguments.
 
-    The orders of bounces are correlated, so the error of their sum does not follow from theirs: the sum has
-    a tally of its own.
-
-    Parameters
-    ----------
-    rows, cells, channels : int
-        As in `Tally`.
-    first, count : int
-        Which of the tally's sheets to add up; where there are several, after each was closed on its own.
-
-    Attributes
-    ----------
-    hits : ndarray of int64, shape (rows, cells)
-        Paths that ended in each cell.
-    """
-
-    def __init__(self, rows: int, cells: int, channels: int, first: int, count: int = 1) -> None:
-        self.hits: NDArray[np.int64] = np.zeros((rows, cells), np.int64)
-        self._first, self._count = first, count
-        self._batches = 0
-        self._paths_per_row = 0
-        self._mean = np.zeros((rows, cells, channels))
-        self._square = np.zeros((rows, cells, channels))
-        # energies of a row: the delta term in each channel, then all there is
-        self._row_mean = np.zeros((rows, 2 * channels))
-        self._row_square = np.zeros((rows, 2 * channels))
-
-    def add_rows(self, specular: Array, energy: Array, paths_per_row: int) -> None:
-        """Begin a batch of so many paths a row with its energies; arguments as `Tally.accumulators`."""
-        self._batches += 1
-        self._paths_per_row += paths_per_row
-        mine = slice(self._first, self._first + self._count)
-        sums = [a[:, :, mine].sum(axis=(1, 2)) for a in (specular, energy)]
-        rows = np.concatenate(sums, axis=1) / paths_per_row
-        delta = rows - self._row_mean
-        self._row_mean += delta / self._batches
-        self._row_square += delta * (rows - self._row_mean)
-
-    def add_cells(self, row: int, cells: Array, paths_per_row: int) -> None:
-        """Add the cells of one row to the batch begun, shape (chunks, sheets, cells, channels + 1).
-
-        Sums are gathered in chunk 0 of the first sheet; the other accumulators they come from are cleared.
+        Raises
+        ------
+        ValueError
+            An array is missing or of another shape.
         """
-        chunks, sheets = cells.shape[:2]
-        slabs = cells.reshape(-1, *cells.shape[2:])
-        if self._count == 1:
-            last, step = chunks * sheets, sheets  # the sheet in all chunks, in their order
-        else:
-            last, step = self._first + self._count, 1  # the sheets' own sums, in chunk 0
-        _add_cells(
-            slabs, self._first, last, step, 1.0 / paths_per_row, self._batches,
-            self._mean[row], self._square[row], self.hits[row],
-        )  # fmt: skip
+        own = self.state()
+        for name, array in own.items():
+            if name not in state or state[name].shape != array.shape or state[name].dtype != array.dtype:
+                raise ValueError(f"{name}: {array.dtype} of shape {array.shape} is expected")
+        for name, array in own.items():
+            array[...] = state[name]
+        batches, rays, *energies = state["ledger"].tolist()
+        self.batches, self.rays = int(batches), int(rays)
+        self.ledger = dict(zip(self.ledger, energies, strict=True))
 
-    def cells(self, projected_solid_angles: Array) -> tuple[Array, Array]:
-        """Mean BRDF of every cell and its standard error, 1/sr, shape (rows, cells, channels) each.
+    def _order_sheets(self) -> list[SheetTally]:
+        return [sheet for hemisphere in self.orders for sheet in hemisphere]
 
-        The scatter of an empty cell is 0, which is not its error: such a cell gets the bound
-        3/(N x projected solid angle), above which its value lies with a chance below exp(-3).
-
-        Parameters
-        ----------
-        projected_solid_angles : ndarray, shape (cells,)
-            In sr.
-        """
-        omega = projected_solid_angles[:, None]
-        variance = self._square / (max(self._batches - 1, 1) * self._batches)
-        std_error = np.sqrt(variance)
-        # equal in all batches, by stratification or a lucky few: Poisson's error of the paths counted
-        equal = (std_error == 0) & (self.hits[:, :, None] > 0)
-        poisson = self._mean / np.sqrt(np.maximum(self.hits, 1))[:, :, None]
-        std_error = np.where(equal, poisson, std_error)
-        std_error[self.hits == 0] = 3.0 / self._paths_per_row
-        return self._mean / omega, std_error / omega
-
-    def rows(self) -> tuple[Array, Array, Array, Array]:
-        """All energy of each row, its error, the delta term, its error; shape (rows, channels) each."""
-        std_error = np.sqrt(self._row_square / (max(self._batches - 1, 1) * self._batches))
-        channels = self._mean.shape[2]
-        return (
-            self._row_mean[:, channels:],
-            std_error[:, channels:],
-            self._row_mean[:, :channels],
-            std_error[:, :channels],
-        )
+    def _holders(self) -> Iterator[tuple[str, object]]:
+        yield "rows.", self.rows
+        for number, sheet in enumerate((*self._order_sheets(), *self.totals)):
+            yield f"sheet{number}.", sheet
 
 
-@kernel(allocates=False)
-def _add_cells(slabs, first, last, step, scale, batch, mean, square, hits):
-    """Welford's update of every cell with the sum over slabs first, first + step, ... before last.
-
-    The sum is left in slab `first`, the other slabs are cleared.
-    """
-    _, count, columns = slabs.shape
-    for cell in range(count):
-        for slab in range(first + step, last, step):
-            for column in range(columns):
-                slabs[first, cell, column] += slabs[slab, cell, column]
-                slabs[slab, cell, column] = 0.0
-        hits[cell] += int(slabs[first, cell, columns - 1])
-        for channel in range(columns - 1):
-            value = slabs[first, cell, channel] * scale
-            delta = value - mean[cell, channel]
-            mean[cell, channel] += delta / batch
-            square[cell, channel] += delta * (value - mean[cell, channel])
+def new_accumulators(
+    rows: int, cells: int, channels: int, chunks: int, sheets: int, names: int
+) -> tuple[Array, Array, Array, Array]:
+    """Empty `Tally.accumulators`; arguments as `Tally`, and the numbers of sheets and of ledger names."""
+    return (
+        np.zeros((rows, chunks, sheets, cells, channels + 1)),
+        np.zeros((rows, chunks, sheets, channels)),
+        np.zeros((rows, chunks, sheets, channels)),
+        np.zeros((rows, chunks, LEDGER_COLUMNS + names)),
+    )

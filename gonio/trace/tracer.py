@@ -83,11 +83,8 @@ class Tracer:
         """The realisation of a batch; a specimen without anything random has one for all."""
         if self._fixed is not None:
             return self._fixed
-        tiles = [
-            layer.surface.realise(_realisation_seed(self._seed, batch, number))
-            for number, layer in enumerate(self._specimen.layers)
-        ]
-        if len(self._statistics) < _STATISTICS_TILES:
+        tiles = self._tiles(batch)
+        if batch == len(self._statistics) < _STATISTICS_TILES:
             self._statistics.append([tile.statistics() for tile in tiles])
         realisation: Realisation
         if self._optics is not None:
@@ -98,11 +95,23 @@ class Tracer:
             self._fixed = realisation
         return realisation
 
-    def statistics(self) -> list[dict[str, float]]:
-        """What was measured on the facets of each layer, the mean over realisations."""
+    def statistics(self, batches: int) -> list[dict[str, float]]:
+        """What is measured on the facets of each layer, the mean over the first of so many batches."""
+        for batch in range(len(self._statistics), min(batches, _STATISTICS_TILES)):
+            if batch > 0 and not self._specimen.is_random:
+                break
+            # traced by others, or before a measurement was resumed
+            self._statistics.append([tile.statistics() for tile in self._tiles(batch)])
         return [
             {name: float(np.mean([asdict(tile)[name] for tile in tiles])) for name in asdict(tiles[0])}
             for tiles in zip(*self._statistics, strict=True)
+        ]
+
+    def _tiles(self, batch: int) -> list[Tile]:
+        """One period of each layer's surface."""
+        return [
+            layer.surface.realise(_realisation_seed(self._seed, batch, number))
+            for number, layer in enumerate(self._specimen.layers)
         ]
 
 

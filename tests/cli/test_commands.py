@@ -11,7 +11,7 @@ import pytest
 
 from gonio import Table
 from gonio.cli import main
-from gonio.trace.measure import Measurement
+from gonio.trace.measurement import Measurement
 from tests.table.tables import with_parts
 
 SPEC = """

@@ -13,7 +13,8 @@ from scipy import stats
 
 from gonio.core.optics import fresnel_conductor
 from gonio.trace.errors import TraceError
-from gonio.trace.measure import Measurement, measure
+from gonio.trace.measure import measure
+from gonio.trace.measurement import Measurement
 from microgeometry.errors import InputError
 from microgeometry.specimen import parse_specimen
 
@@ -139,13 +140,16 @@ def test_groove_seen_from_all_sides_still_turns_light_by_twice_its_slope():
 
 
 def test_empty_cells_have_an_upper_bound():
+    """3 / (paths x projected solid angle) where paths are independent; up to 16 times that where packets agree."""
     table = measure(
         specimen({"kind": "v_groove", "slope_deg": 20}, MIRROR, theta_i_deg=[0], **COARSE), rays=20_000
     )
     empty = table.hits == 0
     assert empty.any()
     bound = 3 / (table.ledger["paths"] * np.broadcast_to(table.projected_solid_angles, empty.shape))
-    assert table.std_error[..., 0][empty] == pytest.approx(bound[empty])
+    # all paths of a packet come from one direction, and such a groove sends them to two places
+    clump = table.std_error[..., 0][empty] / bound[empty]
+    assert 8 < clump.min() <= clump.max() < 16
     assert np.all(table.std_error > 0)
 
 
@@ -243,23 +247,30 @@ MEMORY = """
 import resource, sys
 from gonio.trace.measure import measure
 from microgeometry.specimen import parse_specimen
+step, rays, out = float(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
 s = parse_specimen({"surface": {"kind": "gaussian", "alpha": 0.5, "samples": 128, "size": 16},
-                    "material": {"kind": "conductor", "name": "Au"}})
-measure(s, rays=int(sys.argv[1]))
+                    "material": {"kind": "conductor", "name": "Au"},
+                    "grid": {"theta_step_deg": step, "phi_step_deg": step}})
+measure(s, rays=rays, checkpoint=out, every=5.0).save(out)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
 """
 
 
+def peak_memory(step, rays, out):
+    """Bytes that a process needs at most to trace an RGB table, with checkpoints, and to save it."""
+    command = [sys.executable, "-c", MEMORY, str(step), str(rays), str(out)]
+    return int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+
 @pytest.mark.compiled
-def test_memory_of_a_one_degree_rgb_trace():
-    """Below 2 GiB, and flat in the number of rays."""
-    few, many = (
-        int(
-            subprocess.run(
-                [sys.executable, "-c", MEMORY, n], capture_output=True, text=True, check=True
-            ).stdout
-        )
-        for n in ("100000", "4000000")
-    )
-    assert many < 2 * 2**30
+def test_memory_of_a_one_degree_table_is_flat_in_rays(tmp_path):
+    few, many = (peak_memory(1, rays, tmp_path / "t.h5") for rays in (100_000, 4_000_000))
+    assert many < 2**30
     assert many < 1.1 * few
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_a_half_degree_table_fits_in_four_gigabytes(tmp_path):
+    """11.7 million cells, each of three channels, with checkpoints."""
+    assert peak_memory(0.5, 100_000, tmp_path / "t.h5") < 4 * 2**30

@@ -1,0 +1,139 @@
+"""Batches of a specimen: the same sums for the same specimen, seed, size, batch and passes, wherever traced."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.core.directions import projected_solid_angles
+from gonio.core.lookup import axis
+from gonio.core.parallel import for_each
+from gonio.trace.analog import Beam, Bins, Part, Sums
+from gonio.trace.tally import Tally, new_accumulators
+from gonio.trace.tracer import Tracer
+from microgeometry.specimen import Specimen
+
+Array = NDArray[np.float64]
+
+MAX_PASSES = 255
+"""Of one row in a batch."""
+
+_BATCHES = (
+    1 << 24
+)  # a pass is a batch of its own to the random numbers: pass p of batch b is b + p * _BATCHES
+_UNITS = 32  # units of work in a batch, at least: enough for any desktop's threads to share evenly
+
+
+@dataclass(frozen=True)
+class Job:
+    """What fixes every bit of a batch, but for its number and passes.
+
+    Attributes
+    ----------
+    specimen : Specimen
+    seed : int
+    exponent : int
+        A pass is 16 * 2**exponent paths.
+    """
+
+    specimen: Specimen
+    seed: int
+    exponent: int
+
+
+class BatchTracer:
+    """Traces batches of a job.
+
+    Parameters
+    ----------
+    job : Job
+
+    Attributes
+    ----------
+    theta_i, theta_i_edges, theta_edges, phi_edges : ndarray
+        As in `gonio.table.table.Table`; theta_i_edges may be None.
+    areas : ndarray, shape (rings, sectors)
+        Projected solid angles of the cells, sr.
+    paths_per_pass : int
+    tracer : Tracer
+        How the specimen is traced.
+    seconds : float
+        Spent in the kernel.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self.job = job
+        grid = job.specimen.grid
+        self.theta_edges = np.radians(np.linspace(0, 90, round(90 / grid.theta_step_deg) + 1))
+        self.phi_edges = np.radians(np.linspace(0, 180, round(180 / grid.phi_step_deg) + 1))
+        self.areas = projected_solid_angles(self.theta_edges, self.phi_edges)
+        sin2_edges = np.sin(self.theta_edges) ** 2
+        if grid.theta_i_deg is None:
+            self.theta_i_edges: Array | None = self.theta_edges
+            self.theta_i = 0.5 * (self.theta_edges[1:] + self.theta_edges[:-1])
+            self._sin2 = sin2_edges[:-1], sin2_edges[1:]
+        else:
+            self.theta_i_edges = None
+            self.theta_i = np.radians(grid.theta_i_deg)
+            self._sin2 = np.sin(self.theta_i) ** 2, np.sin(self.theta_i) ** 2
+        self._strata = 2 ** (job.exponent // 2), 2 ** (job.exponent - job.exponent // 2)
+        self.paths_per_pass = 16 * 2**job.exponent
+        self.tracer = Tracer(job.specimen, job.seed, self.paths_per_pass)
+        self._bins = Bins(
+            axis(sin2_edges), axis(-np.cos(self.phi_edges)), grid.orders, self.tracer.stack.share
+        )
+        self.seconds = 0.0
+
+    def new_tally(self) -> Tally:
+        """An empty tally of this job's table."""
+        orders, hemispheres = self.job.specimen.grid.orders, self.tracer.hemispheres
+        return Tally(*self._shape(), hemispheres, orders, self.tracer.ledger_names)
+
+    def new_accumulators(self) -> tuple[Array, ...]:
+        """Empty accumulators for `trace`, as those of `new_tally`."""
+        sheets = self.tracer.hemispheres * self.job.specimen.grid.orders
+        return new_accumulators(*self._shape(), sheets, len(self.tracer.ledger_names))
+
+    def _shape(self) -> tuple[int, int, int, int]:
+        """Rows, cells, channels and chunks."""
+        rows = len(self.theta_i)
+        channels = len(self.job.specimen.grid.channels)
+        return rows, self.areas.size, channels, max(1, -(-_UNITS // rows))
+
+    def trace(
+        self, batch: int, passes: NDArray[np.int64], accumulators: tuple[Array, ...], threads: int
+    ) -> None:
+        """Trace a batch; on a random surface, a realisation of its own.
+
+        Parameters
+        ----------
+        batch : int
+        passes : ndarray of int, shape (rows,)
+            Of each row, at most MAX_PASSES, and in all as many as there are rows.
+        accumulators : tuple of ndarray
+            `Tally.accumulators`, all 0; added to.
+        threads : int
+            The sums do not depend on it.
+        """
+        realisation = self.tracer.realise(batch)
+        cells, specular, energy, ledger = accumulators
+        slots = [(row, number) for row, count in enumerate(passes.tolist()) for number in range(count)]
+        chunks = cells.shape[1]
+        packets = self._strata[0] * self._strata[1]
+
+        def trace(unit: int) -> None:
+            # neighbouring rows cost alike: deal them out, chunk by chunk
+            chunk, slot = divmod(unit, len(slots))
+            place = slot, chunk
+            row, number = slots[slot]
+            beam = Beam(row, float(self._sin2[0][row]), float(self._sin2[1][row]))
+            part = Part(*self._strata, chunk * packets // chunks, (chunk + 1) * packets // chunks)
+            sums = Sums(cells[place], specular[place], energy[place], ledger[place])
+            realisation.trace(self._bins, beam, part, batch + number * _BATCHES, sums)
+
+        started = time.perf_counter()
+        for_each(trace, len(slots) * chunks, threads)
+        self.seconds += time.perf_counter() - started

@@ -1,0 +1,210 @@
+"""A specimen under the instrument: batch after batch, and a table of them at any time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.core.parallel import check_threads
+from gonio.interrupt import uninterrupted
+from gonio.table.table import Table
+from gonio.trace.batch import BatchTracer, Job
+from gonio.trace.errors import TraceError
+from gonio.trace.stopping import Schedule, check_target
+from gonio.trace.tabulate import tabulate
+from microgeometry.errors import InputError
+from microgeometry.specimen import Specimen
+
+MIN_BATCHES = 32
+LOST_LIMIT = 1e-6
+_MAX_EXPONENT = 16  # of the packets of 16 paths, per row and batch
+_DEFAULT_RAYS = 20_000_000
+_ROUNDS = 4  # with a target, the batches before the first decision take such a part of the budget
+_TRIAL_RATE = 2e6  # paths/s assumed when a time is given, to choose the size of a batch
+
+
+class Measurement:
+    """A specimen under the instrument.
+
+    Call `add_batch` as often as wanted, then `table`; or let `measure` do both.
+
+    Parameters
+    ----------
+    specimen : Specimen
+    rays : int, optional
+        Paths planned in all; fixes the size of a batch so that at least 32 make up the plan. Default 20
+        million, or with a target as many as it needs.
+    seed : int
+        Everything drawn depends on it, on the batch and on the path, and on nothing else.
+    threads : int, optional
+        Default: one a processor. The result does not depend on it.
+    target_error : float, optional
+        Relative standard error at which to stop; see `gonio.trace.stopping`.
+    seconds : float, optional
+        Time planned; only to choose the size of a batch.
+
+    Attributes
+    ----------
+    job : Job
+    batches : BatchTracer
+    tracer : Tracer
+        How the specimen is traced.
+    tally : Tally
+    schedule : Schedule
+    plan : dict
+        The arguments that the result depends on.
+    paths_per_batch : int
+    planned_batches : int or None
+        At most so many; None: as many as the target needs.
+    seconds, trace_seconds : float
+        Spent in all, and of these in the kernel.
+
+    Raises
+    ------
+    InputError
+        A negative or too large seed, no rays, or an impossible target.
+    """
+
+    def __init__(
+        self,
+        specimen: Specimen,
+        rays: int | None = None,
+        seed: int = 0,
+        threads: int | None = None,
+        target_error: float | None = None,
+        seconds: float | None = None,
+    ) -> None:
+        if rays is not None and rays < 1:
+            raise InputError(f"rays: {rays}; at least 1 is needed")
+        if not 0 <= seed < 2**32:
+            raise InputError(f"seed: {seed}; an integer from 0 to 4294967295 is needed")
+        self.specimen = specimen
+        self.target_error = None if target_error is None else check_target(target_error)
+        self.plan = {
+            "seed": seed,
+            "rays": rays,
+            "time": seconds,
+            "target error": target_error,
+            "estimator": "analog",
+        }
+        self.threads = check_threads(threads)
+        bounded = rays is not None or (seconds is None and target_error is None)
+        if rays is None:
+            rays = _DEFAULT_RAYS if seconds is None else max(1, int(seconds * _TRIAL_RATE))
+        grid = specimen.grid
+        rows = round(90 / grid.theta_step_deg) if grid.theta_i_deg is None else len(grid.theta_i_deg)
+        # decisions fall between batches: with a target there are more of them, and of a large budget no larger ones
+        share = rays if target_error is None else min(rays, _DEFAULT_RAYS) // _ROUNDS
+        exponent = 0
+        while 16 * rows * 2 ** (exponent + 1) * MIN_BATCHES <= share and exponent < _MAX_EXPONENT:
+            exponent += 1
+        self.job = Job(specimen, seed, exponent)
+        self.batches = BatchTracer(self.job)
+        self.tracer = self.batches.tracer
+        self.paths_per_batch = rows * self.batches.paths_per_pass
+        self.planned_batches = max(MIN_BATCHES, -(-rays // self.paths_per_batch)) if bounded else None
+        self.tally = self.batches.new_tally()
+        self.schedule = Schedule(rows, self.batches.paths_per_pass, self.planned_batches, self.target_error)
+        self.seconds = 0.0
+        self._half_done = False
+
+    @property
+    def trace_seconds(self) -> float:
+        """Seconds spent in the kernel, by this process."""
+        return self.batches.seconds
+
+    def add_batch(self) -> None:
+        """Trace one more batch; on a random surface, a new realisation of it.
+
+        Raises
+        ------
+        TraceError
+            So many paths are lost that going on is pointless, or a batch before was interrupted.
+        """
+        started = time.perf_counter()
+        with self.adding():
+            self.batches.trace(
+                self.tally.batches, self.schedule.passes, self.tally.accumulators, self.threads
+            )
+            self.close_batch(started)
+
+    @contextmanager
+    def adding(self) -> Iterator[None]:
+        """Around what fills the tally's accumulators and closes a batch: left half done, none may follow."""
+        if self._half_done:
+            raise TraceError("a batch was interrupted and left half done: take the table, or start anew")
+        self._half_done = True
+        yield
+        self._half_done = False
+
+    def close_batch(self, started: float) -> None:
+        """Take what is in the tally's accumulators as the next batch, begun at `started` (perf_counter).
+
+        Raises
+        ------
+        TraceError
+            So many paths are lost that going on is pointless.
+        """
+        with uninterrupted():
+            self.tally.close_batch(self.schedule.passes, self.batches.paths_per_pass, self.threads)
+            self.schedule.advance(self.tally, self.batches.areas)
+            self.seconds += time.perf_counter() - started
+        self._check_lost(1e-3)
+
+    def table(self) -> Table:
+        """The table of all batches so far.
+
+        Raises
+        ------
+        TraceError
+            No batch yet, or more than one path in a million was lost.
+        """
+        if self.tally.batches == 0:
+            raise TraceError("no batch was traced yet: there is no table; trace at least one")
+        self._check_lost(LOST_LIMIT)
+        return tabulate(self)
+
+    def state(self) -> dict[str, NDArray]:
+        """Everything learned so far, as arrays by name."""
+        tally = {f"tally.{name}": array for name, array in self.tally.state().items()}
+        schedule = {f"schedule.{name}": array for name, array in self.schedule.state().items()}
+        return {**tally, **schedule, "seconds": np.array(self.seconds)}
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Go on from a `state` of a measurement with the same arguments.
+
+        Raises
+        ------
+        ValueError, KeyError
+            Something in it is missing or of another shape.
+        """
+
+        def part(prefix: str) -> dict[str, NDArray]:
+            return {n.removeprefix(prefix): a for n, a in state.items() if n.startswith(prefix)}
+
+        self.schedule.restore(part("schedule."))
+        self.tally.restore(part("tally."))
+        self.seconds = float(state["seconds"])
+
+    def _check_lost(self, limit: float) -> None:
+        lost, paths = self.tally.ledger["lost"], self.tally.ledger["paths"]
+        if lost > max(1.0, limit * paths):
+            raise TraceError(
+                f"{self.specimen.name}: {lost:.0f} of {paths:.0f} paths were lost ({lost / paths:.2g}; at most "
+                f"{limit:g} may be): they fell through the surface. {self._advice()}"
+            )
+
+    def _advice(self) -> str:
+        if len(self.specimen.layers) > 1:
+            return (
+                "Two layers cut through each other, or a mesh is not closed; give the medium between the layers "
+                "more thickness, or close the mesh"
+            )
+        return (
+            "The mesh has holes, a rim that does not meet the opposite one, or faces wound clockwise seen from "
+            'outside; close it, tile it by mirroring (tiling = "mirror"), or turn its faces over'
+        )

@@ -1,0 +1,216 @@
+"""Running mean and variance of one sheet of a tally, row by row (Welford's update, so no cancellation).
+
+A batch gives each row of incidence a number of passes, each of as many paths; usually one, but a row whose
+error is large may get more and another none. A row's mean is over its paths. Its variance is kept as if all
+its batches had been of the size of the last: where the number of passes changes by a factor k, T batches
+become T / k, and their sum of squares M that of T / k batches whose mean has the same variance,
+M' / (T' (T' - 1)) = M / (T (T - 1)). By Chan's formula for joining two groups this is exact where the
+variance of a batch is the rays' (1 / paths), and correct to 1 / T where it is that of the realisations
+(one a batch, however many its paths): each batch then counts by the square of its weight in the mean.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.core.jit import kernel
+from gonio.trace.error_bars import cell_errors
+
+Array = NDArray[np.float64]
+
+
+class RowCounts:
+    """How much each row of incidence was traced.
+
+    Attributes
+    ----------
+    batches : ndarray of int64, shape (rows,)
+        In which the row took part.
+    paths : ndarray of int64, shape (rows,)
+    passes : ndarray of int64, shape (rows,)
+        In the last of these batches.
+    weight : ndarray, shape (rows,)
+        All paths of the row, in batches of the size of the last.
+    """
+
+    def __init__(self, rows: int) -> None:
+        self.batches: NDArray[np.int64] = np.zeros(rows, np.int64)
+        self.paths: NDArray[np.int64] = np.zeros(rows, np.int64)
+        self.passes: NDArray[np.int64] = np.zeros(rows, np.int64)
+        self.weight = np.zeros(rows)
+
+    def begin_batch(self, passes: NDArray[np.int64], paths_per_pass: int) -> Array:
+        """Count one more batch; returns the factor (shape (rows,)) that sums of squares change by."""
+        factor = np.ones(len(passes))
+        changed = (passes > 0) & (self.passes > 0) & (passes != self.passes)
+        old = self.weight[changed]
+        new = old * self.passes[changed] / passes[changed]
+        if np.any(new <= 1.0) or np.any(old <= 1.0):
+            raise ValueError("passes: of a row may not outgrow all its batches before")
+        factor[changed] = (new * (new - 1.0)) / (old * (old - 1.0))
+        self.weight[changed] = new
+        taking_part = passes > 0
+        self.passes[taking_part] = passes[taking_part]
+        self.weight[taking_part] += 1.0
+        self.batches[taking_part] += 1
+        self.paths += passes * paths_per_pass
+        return factor
+
+    def variance_of_mean(self, squares: Array) -> Array:
+        """From sums of squared deviations, shape (rows, ...), to the variance of the mean."""
+        scale = 1.0 / (np.maximum(self.weight - 1.0, 1.0) * np.maximum(self.weight, 1.0))
+        return squares * scale.reshape(-1, *[1] * (squares.ndim - 1))
+
+
+class SheetTally:
+    """Running mean and variance of one sheet, or of the sum of several.
+
+    The orders of bounces are correlated, so the error of their sum does not follow from theirs: the sum has
+    a tally of its own.
+
+    Parameters
+    ----------
+    counts : RowCounts
+        Of the tally it belongs to.
+    rows, cells, channels : int
+        As in `Tally`.
+    first, count : int
+        Which of the tally's sheets to add up; where there are several, after each was closed on its own.
+
+    Attributes
+    ----------
+    hits : ndarray of int64, shape (rows, cells)
+        Paths that ended in each cell.
+    """
+
+    def __init__(
+        self, counts: RowCounts, rows: int, cells: int, channels: int, first: int, count: int = 1
+    ) -> None:
+        self.hits: NDArray[np.int64] = np.zeros((rows, cells), np.int64)
+        self._counts = counts
+        self._first, self._count = first, count
+        self._mean = np.zeros((rows, cells, channels))
+        self._square = np.zeros((rows, cells, channels))
+        # energies of a row: the delta term in each channel, then all there is
+        self._row_mean = np.zeros((rows, 2 * channels))
+        self._row_square = np.zeros((rows, 2 * channels))
+        # what each batch adds to the sum of squares: squared and summed, of the row's energies, and of all
+        # its cells together; and for the cells also just summed
+        self._row_fourth = np.zeros((rows, 2 * channels))
+        self._cells_square = np.zeros((rows, channels))
+        self._cells_fourth = np.zeros((rows, channels))
+
+    def rescale(self, row: int, factor: float) -> None:
+        """Multiply a row's sums of squares, for batches of another size to follow."""
+        self._square[row] *= factor
+        self._row_square[row] *= factor
+        self._cells_square[row] *= factor
+        self._row_fourth[row] *= factor * factor
+        self._cells_fourth[row] *= factor * factor
+
+    def add_energies(self, row: int, specular: Array, energy: Array, scale: float) -> None:
+        """Add a row's energies to the batch begun, its slots of `Tally.accumulators`; scale = 1 / paths."""
+        mine = slice(self._first, self._first + self._count)
+        sums = [a[:, :, mine].sum(axis=(0, 1, 2)) for a in (specular, energy)]
+        value = np.concatenate(sums) * scale
+        delta = value - self._row_mean[row]
+        self._row_mean[row] += delta / self._counts.weight[row]
+        increase = delta * (value - self._row_mean[row])
+        self._row_square[row] += increase
+        self._row_fourth[row] += increase**2
+
+    def add_cells(self, row: int, cells: Array, scale: float) -> None:
+        """Add a row's cells to the batch begun, its slots of `Tally.accumulators`; scale = 1 / paths.
+
+        Sums are gathered in chunk 0 of the first slot and sheet; the accumulators they come from are cleared.
+        """
+        slots, chunks, sheets = cells.shape[:3]
+        slabs = cells.reshape(-1, *cells.shape[3:])
+        if self._count == 1:
+            last, step = slots * chunks * sheets, sheets  # the sheet in all chunks, in their order
+        else:
+            last, step = self._first + self._count, 1  # the sheets' own sums, in chunk 0
+        increase = np.zeros(self._mean.shape[2])
+        _add_cells(
+            slabs, self._first, last, step, scale, self._counts.weight[row],
+            self._mean[row], self._square[row], self.hits[row], increase,
+        )  # fmt: skip
+        self._cells_square[row] += increase
+        self._cells_fourth[row] += increase**2
+
+    def cells(self, projected_solid_angles: Array) -> tuple[Array, Array]:
+        """Mean BRDF of every cell and its standard error, 1/sr, shape (rows, rings, sectors, channels) each.
+
+        Parameters
+        ----------
+        projected_solid_angles : ndarray, shape (rings, sectors)
+            In sr.
+        """
+        shape = (len(self._mean), *projected_solid_angles.shape, self._mean.shape[2])
+        values, std_error = np.empty(shape), np.empty(shape)
+        for row in range(shape[0]):
+            values[row], std_error[row] = self.row_cells(row, projected_solid_angles)
+        return values, std_error
+
+    def row_cells(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
+        """One row of `cells`; how errors are found is said in `gonio.trace.error_bars`."""
+        omega = projected_solid_angles[:, :, None]
+        shape = (*projected_solid_angles.shape, -1)
+        weight = self._counts.weight[row]
+        mean = self._mean[row].reshape(shape)
+        variance = self._square[row].reshape(shape) / (max(weight - 1.0, 1.0) * max(weight, 1.0))
+        std_error = cell_errors(
+            mean, variance, self.hits[row].reshape(shape[:2]), projected_solid_angles, self._counts.paths[row]
+        )
+        return mean / omega, std_error / omega
+
+    def energies(self) -> tuple[Array, Array, Array, Array]:
+        """All energy of each row, its error, the delta term, its error; shape (rows, channels) each."""
+        std_error = np.sqrt(self._counts.variance_of_mean(self._row_square))
+        channels = self._mean.shape[2]
+        return (
+            self._row_mean[:, channels:],
+            std_error[:, channels:],
+            self._row_mean[:, :channels],
+            std_error[:, :channels],
+        )
+
+    def variance_of_variance(self) -> Array:
+        """Relative variance of the variance of each row, shape (2, rows): of its energy, and of all its cells.
+
+        The worst of the channels. MCNP's VOV (X-5 Monte Carlo Team 2003, LA-UR-03-1987,
+        eq. 2.20): 2 / batches where these are normal; large where a few of them make up the variance.
+        """
+        channels = self._mean.shape[2]
+        squares = np.stack([self._row_square[:, channels:], self._cells_square])
+        fourths = np.stack([self._row_fourth[:, channels:], self._cells_fourth])
+        known = squares > 0
+        ratio = np.where(known, fourths, 0.0) / np.where(known, squares, 1.0) ** 2
+        fewest = 1.0 / np.maximum(self._counts.batches - 1, 1)[:, None]
+        return np.max(np.where(known, ratio - fewest, 0.0), axis=2)
+
+
+@kernel(allocates=False)
+def _add_cells(slabs, first, last, step, scale, weight, mean, square, hits, increase):
+    """Welford's update of every cell with the sum over slabs first, first + step, ... before last.
+
+    The sum is left in slab `first`, the other slabs are cleared. `increase`, shape (channels,), gets what
+    all cells together add to their sums of squares.
+    """
+    _, count, columns = slabs.shape
+    for cell in range(count):
+        for slab in range(first + step, last, step):
+            for column in range(columns):
+                slabs[first, cell, column] += slabs[slab, cell, column]
+                slabs[slab, cell, column] = 0.0
+        hits[cell] += int(slabs[first, cell, columns - 1])
+        if hits[cell] == 0:
+            continue
+        for channel in range(columns - 1):
+            value = slabs[first, cell, channel] * scale
+            delta = value - mean[cell, channel]
+            mean[cell, channel] += delta / weight
+            added = delta * (value - mean[cell, channel])
+            square[cell, channel] += added
+            increase[channel] += added
