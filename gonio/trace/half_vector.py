@@ -24,46 +24,20 @@ from numpy.typing import NDArray
 from gonio.core.lookup import axis
 from gonio.core.optics import fresnel_conductor
 from gonio.core.parallel import for_each
+from gonio.trace.facets import BINS, PACKED, STEP, FacetSums, nodes
 from gonio.trace.half_vector_cells import Model, Rule, azimuth_rule, point_rule, polar_rule, row_cells
-from gonio.trace.scene import Optics, TraceScene
-from gonio.trace.visibility import Nodes, Relief, measure_tilts, see_both
-from microgeometry.materials import Conductor, Mirror
-from microgeometry.specimen import Layer
-from microgeometry.surfaces.exponential import Exponential
-from microgeometry.surfaces.gaussian import Gaussian
-from microgeometry.surfaces.self_affine import SelfAffine
-from microgeometry.tile import HeightField
+from gonio.trace.scene import Optics
 
 Array = NDArray[np.float64]
 
-BINS = 1800  # of tilt, 0.05 degrees each
-STEP = 0.5 * math.pi / BINS
-_ROUNDS = 1024  # of picks: the looks at a node and batch near the horizon
 _GROUPS = 64  # batches are kept apart in that many groups at most
 _FRESNEL = 1024
 _FINE_SPREAD = math.radians(1.2)  # of theta_h, per point of the quadrature along theta
 _LEVELS = 10
-# tilts in units of alpha; beyond the last, at exp(-9) of the peak, visibility is taken as there
-_TILTS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.35, 2.7, 3.0)
-_WINDOW = 0.05
-_OPENINGS = (0.0, 0.2, 0.35, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985, 0.995, 0.999)
-_EVERY = (128, 128, 128, 64, 64, 32, 32, 16, 16, 8, 4, 2, 1, 1)
-_TURNS_DEG = (0.0, 7.5, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0)
-_LEAST_ALPHA = 0.03  # below, D is too steep for the bins of tilt and the points of a 1-degree cell
-_SURFACES = Gaussian, Exponential, SelfAffine
-
-
-def applies(layer: Layer, alpha: float) -> bool:
-    """Whether single bounces can be measured so: random slopes of all sizes and not too small, mirror facets."""
-    return (
-        isinstance(layer.surface, _SURFACES)
-        and isinstance(layer.material, Mirror | Conductor)
-        and alpha >= _LEAST_ALPHA
-    )
 
 
 class HalfVector:
-    """Single bounces off one opaque surface of mirror facets, batch by batch.
+    """Single bounces off one opaque surface of mirror facets, from the facets of many realisations.
 
     Parameters
     ----------
@@ -74,91 +48,59 @@ class HalfVector:
     samples : int
         S.
     alpha : float
-        Roughness of the surface; it only places the nodes of visibility and sets the visibility they correct.
-    seed : int
+        As in `gonio.trace.facets.measure_facets`.
 
     Attributes
     ----------
     batches : int
-    rays : int
-        Occlusion rays cast.
     """
 
-    def __init__(
-        self, optics: Optics, to_channels: Array | None, samples: int, alpha: float, seed: int
-    ) -> None:
+    def __init__(self, optics: Optics, to_channels: Array | None, samples: int, alpha: float) -> None:
         self.batches = 0
-        self.rays = 0
-        self._seed = seed
         self._fresnel = _reflectance(optics, samples)
         if to_channels is not None:
             self._fresnel = self._fresnel @ to_channels.T
-        tilt = np.arctan(alpha * np.array(_TILTS))
-        window = _WINDOW * alpha * np.cos(tilt) ** 2
-        window[0] *= 2
-        self._nodes = Nodes(
-            tilt, window, np.array(_OPENINGS), np.radians(_TURNS_DEG), np.array(_EVERY, np.int64), alpha
-        )
-        self._facets = 0
-        # sums over the batches of each group: area by tilt, area in the windows, and of that what is seen
-        shape = len(_TILTS), len(_OPENINGS), len(_TURNS_DEG)
+        self._nodes = nodes(alpha)
         self._batches_per_group = 1
-        self._count = np.zeros(_GROUPS)
-        self._area = np.zeros((_GROUPS, BINS))
-        self._window_area = np.zeros((_GROUPS, len(_TILTS)))
-        self._seen_area = np.zeros((_GROUPS, *shape))
+        self._count = np.zeros(_GROUPS)  # batches in each group
+        self._sums = np.zeros((_GROUPS, PACKED))
 
-    def add(self, tile: HeightField, scene: TraceScene, batch: int, threads: int | None = None) -> None:
-        """Measure one realisation.
-
-        Parameters
-        ----------
-        tile : HeightField
-        scene : TraceScene
-            Of this tile alone.
-        batch : int
-            Part of the random numbers' key.
-        threads : int, optional
-            The result does not depend on it.
-        """
-        z = (tile.heights - scene.centre) / scene.unit
-        nx, ny = z.shape
-        relief = Relief(
-            z, tile.size[0] / scene.unit / nx, tile.size[1] / scene.unit / ny, float(z.mean()), float(z.std())
-        )
-        nodes = self._nodes
-        low, high = nodes.tilt - nodes.window, nodes.tilt + nodes.window
-        tilts = np.empty((z.size, 2), np.float32)
-        members = np.zeros(len(low), np.int64)
-        area, window_area = np.zeros(BINS), np.zeros(len(low))
-        measure_tilts(relief, STEP, tilts, area, low, high, members, window_area)
-        looks = np.zeros((len(low), len(nodes.opening), len(nodes.turn)), np.int64)
-        seen = np.zeros(looks.shape)
-
-        def look(a: int) -> int:
-            if members[a] == 0:
-                return 0
-            return see_both(
-                scene.embree, scene.box, relief, tilts, low[a], high[a], members[a], a, nodes, _ROUNDS,
-                self._seed, batch, looks[a], seen[a],
-            )  # fmt: skip
-
-        self.rays += sum(for_each(look, len(low), threads))
-        share = seen / np.maximum(looks, 1)
-        scale = 1.0 / (2 * z.size)  # facets have equal projected areas, which add up to the plane's
+    def add(self, packed: Array) -> None:
+        """Add what `gonio.trace.facets.measure_facets` found on the next realisation."""
         group = self._open_group()
         self._count[group] += 1
-        self._area[group] += area * scale
-        self._window_area[group] += window_area * scale
-        self._seen_area[group] += share * (window_area * scale)[:, None, None]
-        self._facets += 2 * z.size
+        self._sums[group] += packed
         self.batches += 1
+
+    @property
+    def rays(self) -> int:
+        """Occlusion rays cast."""
+        return int(self._sums[:, 1].sum())
+
+    def state(self) -> dict[str, NDArray]:
+        """All that was learned so far, as arrays by name; not copies."""
+        return {
+            "batches": np.array([self.batches, self._batches_per_group]),
+            "count": self._count,
+            "sums": self._sums,
+        }
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Go on from a `state`.
+
+        Raises
+        ------
+        ValueError, KeyError
+            An array is missing or of another shape.
+        """
+        self.batches, self._batches_per_group = (int(n) for n in state["batches"])
+        self._count[...], self._sums[...] = state["count"], state["sums"]
 
     def _open_group(self) -> int:
         """Group of the next batch; where all are full, neighbours merge and each holds twice as many."""
         group = self.batches // self._batches_per_group
         if group == _GROUPS:
-            for sums in (self._count, self._area, self._window_area, self._seen_area):
+            for sums in (self._count, self._sums):
                 sums[: _GROUPS // 2] = sums[::2] + sums[1::2]
                 sums[_GROUPS // 2 :] = 0.0
             self._batches_per_group *= 2
@@ -225,8 +167,8 @@ class HalfVector:
 
     def _model(self) -> Model:
         """Means over all batches, and their noise."""
-        count, n = self._used()
-        area, window, seen = self._area[:n], self._window_area[:n], self._seen_area[:n]
+        count, area, window, seen = self._groups()
+        n = len(count)
         edges = STEP * np.arange(BINS + 1)
         solid_angle = 2.0 * math.pi * -np.diff(np.cos(edges))
         density = area.sum(0) / self.batches / solid_angle
@@ -241,25 +183,31 @@ class HalfVector:
             if a and (total[a] == 0 or np.count_nonzero(window[:, a]) < n // 2):
                 rho[a], rho_noise[a] = rho[a - 1], rho_noise[a - 1]
         one_degree = np.sin(edges[:-1] + 0.5 * STEP) * math.radians(1.0) * 2.0 * math.pi
-        floor = 3.0 / (self._facets * np.cos(edges[:-1] + 0.5 * STEP) * one_degree)
-        nodes = self._nodes
+        facets = self._sums[:, 0].sum()
+        floor = 3.0 / (facets * np.cos(edges[:-1] + 0.5 * STEP) * one_degree)
         return Model(
-            STEP, density, noise, floor, self._fresnel, axis(nodes.tilt), axis(nodes.opening), axis(nodes.turn),
+            STEP, density, noise, floor, self._fresnel,
+            axis(self._nodes.tilt), axis(self._nodes.opening), axis(self._nodes.turn),
             np.ascontiguousarray(rho), np.ascontiguousarray(rho_noise),
         )  # fmt: skip
 
-    def _used(self) -> tuple[Array, int]:
-        """Batches of each group in use, and how many groups those are."""
-        n = int(np.count_nonzero(self._count))
-        return self._count[:n], n
+    def _groups(self) -> tuple[Array, Array, Array, Array]:
+        """Batches of each group in use, and their sums: area by tilt, area in the windows, of that what is seen."""
+        used = self._count > 0
+        groups = [FacetSums.unpack(sums) for sums in self._sums[used]]
+        return (
+            self._count[used],
+            np.stack([group.area for group in groups]),
+            np.stack([group.window_area for group in groups]),
+            np.stack([group.seen_area for group in groups]),
+        )
 
     def _energy_error(self, by_tilt: Array, by_node: Array) -> Array:
         """Standard error of sums over cells, of which so much energy rests on each bin of tilt and node."""
-        count, n = self._used()
-        seen = _deviations(self._seen_area[:n], count)
-        seen -= _deviations(self._window_area[:n], count)[:, :, None, None]
-        change = np.einsum("gn,rnc->grc", _deviations(self._area[:n], count), by_tilt, optimize=True)
-        change += np.einsum("gn,rnc->grc", seen.reshape(n, -1), by_node, optimize=True)
+        count, area, window, seen = self._groups()
+        share = _deviations(seen, count) - _deviations(window, count)[:, :, None, None]
+        change = np.einsum("gn,rnc->grc", _deviations(area, count), by_tilt, optimize=True)
+        change += np.einsum("gn,rnc->grc", share.reshape(len(count), -1), by_node, optimize=True)
         return np.sqrt(_variance(change, count))
 
 
