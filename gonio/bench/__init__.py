@@ -8,7 +8,11 @@ from typing import Any
 
 from microgeometry.errors import InputError
 
-BENCHMARKS = {"trace": "gonio.bench.trace", "materials": "gonio.bench.materials"}
+BENCHMARKS = {
+    "trace": "gonio.bench.trace",
+    "materials": "gonio.bench.materials",
+    "workers": "gonio.bench.workers",
+}
 """Name to module; a module has ``run(say) -> dict``."""
 
 

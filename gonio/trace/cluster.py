@@ -111,7 +111,7 @@ class Cluster:
         for batch in range(tally.batches, last):
             if batch not in self._waiting:
                 self._waiting[batch] = self._client.submit(
-                    trace_batch, self._job, batch, schedule.passes, pure=False, priority=-batch
+                    trace_batch, self._job, batch, schedule.passes(batch), pure=False, priority=-batch
                 )
         sums = self._result(tally.batches)
         with measurement.adding():

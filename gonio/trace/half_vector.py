@@ -166,29 +166,27 @@ class HalfVector:
         return values, std_error, by_tilt.sum(1), self._energy_error(by_tilt, by_node)
 
     def _model(self) -> Model:
-        """Means over all batches, and their noise."""
+        """Means over all batches, and how much they differ between groups of these."""
         count, area, window, seen = self._groups()
         n = len(count)
         edges = STEP * np.arange(BINS + 1)
         solid_angle = 2.0 * math.pi * -np.diff(np.cos(edges))
         density = area.sum(0) / self.batches / solid_angle
-        # relative deviations of groups of batches
-        noise = np.stack([_relative_variance(_moving_sum(area, 2**level), count) for level in range(_LEVELS)])
-        seen_dev, window_dev = _deviations(seen, count), _deviations(window, count)[:, :, None, None]
-        # D goes with the facets in the window: rho is seen over there
-        rho_noise = _variance(seen_dev, count) - _variance(window_dev, count)
+        density_change = np.stack([_deviations(_moving_sum(area, 2**level), count) for level in range(_LEVELS)])
+        rho_change = _deviations(seen, count) - _deviations(window, count)[:, :, None, None]
         total = window.sum(0)[:, None, None]
         rho = np.where(total > 0, seen.sum(0) / np.where(total > 0, total, 1.0), np.nan)
         for a in range(len(total)):  # tilts too rare to be seen look like the steepest that are not
             if a and (total[a] == 0 or np.count_nonzero(window[:, a]) < n // 2):
-                rho[a], rho_noise[a] = rho[a - 1], rho_noise[a - 1]
+                rho[a], rho_change[:, a] = rho[a - 1], rho_change[:, a - 1]
         one_degree = np.sin(edges[:-1] + 0.5 * STEP) * math.radians(1.0) * 2.0 * math.pi
         facets = self._sums[:, 0].sum()
         floor = 3.0 / (facets * np.cos(edges[:-1] + 0.5 * STEP) * one_degree)
         return Model(
-            STEP, density, noise, floor, self._fresnel,
+            STEP, density, floor, self._fresnel,
             axis(self._nodes.tilt), axis(self._nodes.opening), axis(self._nodes.turn),
-            np.ascontiguousarray(rho), np.ascontiguousarray(rho_noise),
+            rho, count, np.ascontiguousarray(np.moveaxis(density_change, 1, 2)),
+            np.ascontiguousarray(np.moveaxis(rho_change, 0, 3)),
         )  # fmt: skip
 
     def _groups(self) -> tuple[Array, Array, Array, Array]:
@@ -222,10 +220,6 @@ def _variance(deviations: Array, count: Array) -> Array:
     """Variance of the mean over batches, from deviations of groups of `count` batches each."""
     squares = np.tensordot(count, deviations**2, 1)
     return squares / (max(len(count) - 1, 1) * count.sum())
-
-
-def _relative_variance(sums: Array, count: Array) -> Array:
-    return _variance(_deviations(sums, count), count)
 
 
 def _moving_sum(a: Array, width: int) -> Array:

@@ -33,8 +33,6 @@ class Model(NamedTuple):
     """Width of the bins of tilt, radians."""
     density: Array
     """(N,) D of each bin of tilt, 1/sr."""
-    noise: Array
-    """(L, N) relative variance of the mean of D over 2^level bins about each bin."""
     floor: Array
     """(N,) D that is likely not exceeded where no facet was met, 1/sr."""
     fresnel: Array
@@ -45,8 +43,12 @@ class Model(NamedTuple):
     """Nodes of theta_h, theta_d over its largest, phi_d; radians."""
     rho: Array
     """(A, B, P)"""
-    rho_noise: Array
-    """(A, B, P) what the visibility adds to the relative variance; below 0 where it takes noise away."""
+    count: Array
+    """(G,) batches in each group of them."""
+    density_change: Array
+    """(L, N, G) relative deviation of D over 2^level bins about each bin, from its mean, in each group."""
+    rho_change: Array
+    """(A, B, P, G) the same of rho."""
 
 
 class Rule(NamedTuple):
@@ -123,10 +125,8 @@ def row_cells(model, row, fast, fine, spread, values, std_error, by_tilt, by_nod
             low, high, tilt, a, b, p, x, y, z = average
             k = min(int(tilt / model.step), last)
             level = int(math.log2(max(1.0, _GAUSS * (high - low) / model.step)))
-            level = min(level, model.noise.shape[0] - 1)
-            noise = model.noise[level, k]
-            # what the visibility takes away is itself uncertain: at most half the error bar
-            variance = max(0.25 * noise, noise + _interpolate_variance(model.rho_noise, a, b, p, x, y, z))
+            level = min(level, model.density_change.shape[0] - 1)
+            variance = _variance(model, level, k, a, b, p, x, y, z)
             node = (a + int(x + 0.5)) * model.rho.shape[1] + b + int(y + 0.5)
             node = node * model.rho.shape[2] + p + int(z + 0.5)
             for c in range(values.shape[1]):
@@ -220,10 +220,12 @@ def _interpolate(f, a, b, p, x, y, z):
 
 
 @kernel(allocates=False)
-def _interpolate_variance(f, a, b, p, x, y, z):
-    """Variance of what `_interpolate` makes of nodes; those of different tilts and turns are independent."""
-    near = (1.0 - z) ** 2 * ((1.0 - y) * f[a, b, p] + y * f[a, b + 1, p])
-    near += z**2 * ((1.0 - y) * f[a, b, p + 1] + y * f[a, b + 1, p + 1])
-    far = (1.0 - z) ** 2 * ((1.0 - y) * f[a + 1, b, p] + y * f[a + 1, b + 1, p])
-    far += z**2 * ((1.0 - y) * f[a + 1, b, p + 1] + y * f[a + 1, b + 1, p + 1])
-    return (1.0 - x) ** 2 * near + x**2 * far
+def _variance(model, level, k, a, b, p, x, y, z):
+    """Relative variance of a cell's mean over all batches, from what each group of batches makes of D times rho."""
+    total = squares = 0.0
+    groups = model.count.shape[0]
+    for g in range(groups):
+        change = model.density_change[level, k, g] + _interpolate(model.rho_change[..., g], a, b, p, x, y, z)
+        total += model.count[g]
+        squares += model.count[g] * change * change
+    return squares / (max(groups - 1, 1) * total)

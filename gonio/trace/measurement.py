@@ -138,9 +138,9 @@ class Measurement:
         """
         started = time.perf_counter()
         with self.adding():
-            facets = self.batches.trace(
-                self.tally.batches, self.schedule.passes, self.tally.accumulators, self.threads
-            )
+            batch = self.tally.batches
+            passes = self.schedule.passes(batch)
+            facets = self.batches.trace(batch, passes, self.tally.accumulators, self.threads)
             self.close_batch(facets, started)
 
     @contextmanager
@@ -161,7 +161,8 @@ class Measurement:
             So many paths are lost that going on is pointless.
         """
         with uninterrupted():
-            self.tally.close_batch(self.schedule.passes, self.batches.paths_per_pass, self.threads)
+            passes = self.schedule.passes(self.tally.batches)
+            self.tally.close_batch(passes, self.batches.paths_per_pass, self.threads)
             if self.half_vector is not None and facets is not None:
                 self.half_vector.add(facets)
             self.schedule.advance(self.tally, self.judge)

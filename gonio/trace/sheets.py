@@ -4,9 +4,9 @@ A batch gives each row of incidence a number of passes, each of as many paths; u
 error is large may get more and another none. A row's mean is over its paths. Its variance is kept as if all
 its batches had been of the size of the last: where the number of passes changes by a factor k, T batches
 become T / k, and their sum of squares M that of T / k batches whose mean has the same variance,
-M' / (T' (T' - 1)) = M / (T (T - 1)). By Chan's formula for joining two groups this is exact where the
-variance of a batch is the rays' (1 / paths), and correct to 1 / T where it is that of the realisations
-(one a batch, however many its paths): each batch then counts by the square of its weight in the mean.
+M' / (T' (T' - 1)) = M / (T (T - 1)). The variance of the mean so found is right on average both where the variance
+of a batch is the rays' (1 / paths) and where it is that of the realisations (one a batch, however many its
+paths): with one more batch, V becomes (T^2 V + variance of the batch) / (T + 1)^2 whatever that is.
 """
 
 from __future__ import annotations

@@ -32,6 +32,7 @@ _ENERGY = 0.99  # of a row's light: the cells that hold it count, and what holds
 _PERCENTILE = 0.95  # of these cells have errors below the target
 _MAX_VOV = 0.1  # MCNP's limit for the variance of the variance; 32 normal batches have 0.065
 _CLEAR = 0.1  # part of the error allowed below which its variance is not asked for
+_PATTERN = 8  # batches after which the passes of rows repeat: a row that needs 1.4 gets 1, 1, 2, 1, 2, ...
 _KEPT = 16.0  # batches of a row's new size that its old ones must amount to; see `gonio.trace.sheets`
 
 
@@ -171,8 +172,6 @@ class Schedule:
 
     Attributes
     ----------
-    passes : ndarray of int64, shape (rows,)
-        Of the batches of this round.
     until : int
         Batches after which this round ends.
     goal : int
@@ -185,11 +184,17 @@ class Schedule:
         self._paths_per_pass = paths_per_pass
         self._batches = batches
         self._target = target
-        self.passes: NDArray[np.int64] = np.ones(rows, np.int64)
+        # passes of the batches from `_begun` on, again and again
+        self._plan: NDArray[np.int64] = np.ones((1, rows), np.int64)
+        self._begun = 0
         last = sys.maxsize if batches is None else batches
         self.until = last if target is None else min(FIRST_ROUND, last)
         self.goal = 0
         self.over = False
+
+    def passes(self, batch: int) -> NDArray[np.int64]:
+        """Of each row in a batch of this round, shape (rows,)."""
+        return self._plan[(batch - self._begun) % len(self._plan)]
 
     def advance(self, tally: Tally, verdict: Callable[[], Verdict]) -> None:
         """To be called after every batch: plans the next round where one has ended; asks for the verdict then."""
@@ -211,29 +216,32 @@ class Schedule:
         length = int(np.clip(np.ceil(needed.sum() / full), fewest, most))
         if self._batches is not None:
             length = min(length, self._batches - tally.batches)
-        self.until = tally.batches + length
-        self.passes = self._share(needed / (self._paths_per_pass * length), tally)
+        self._begun, self.until = tally.batches, tally.batches + length
+        self._plan = self._deal(needed / (self._paths_per_pass * length), min(length, _PATTERN), tally)
 
-    def _share(self, needed: Array, tally: Tally) -> NDArray[np.int64]:
-        """Passes of a batch for rows that would like `needed` of them each."""
+    def _deal(self, needed: Array, batches: int, tally: Tally) -> NDArray[np.int64]:
+        """Passes of so many batches, for rows that would like `needed` of them in each; shape (batches, rows)."""
         rows = len(needed)
-        counts = tally.rows
-        most = np.floor(counts.passes * counts.weight / _KEPT)
-        most = np.minimum(np.minimum(most, np.ceil(needed)), MAX_PASSES).astype(np.int64)
+        most = np.minimum(tally.rows.paths / (self._paths_per_pass * _KEPT), np.ceil(needed))
+        most = np.minimum(most, MAX_PASSES).astype(np.int64)
         ideal = needed * min(1.0, rows / needed.sum())
-        passes = np.minimum(np.floor(ideal).astype(np.int64), most)
-        # the rest by largest remainder, where rows may have more
-        for row in np.argsort(passes - ideal, kind="stable"):
-            more = min(1, int(most[row] - passes[row]), rows - int(passes.sum()))
-            passes[row] += max(0, more)
-        return passes
+        plan = np.zeros((batches, rows), np.int64)
+        for number, passes in enumerate(plan):
+            due = np.maximum(ideal * (number + 1) - plan[:number].sum(axis=0), 0.0)
+            passes[:] = np.minimum(np.floor(due), most)
+            # the rest to those to whom most is due, where they may have more
+            for row in np.argsort(passes - due, kind="stable"):
+                more = min(1, int(most[row] - passes[row]), rows - int(passes.sum()))
+                passes[row] += max(0, more)
+        return plan
 
     def state(self) -> dict[str, NDArray]:
         """For `restore`."""
-        return {"passes": self.passes, "round": np.array([self.until, self.goal, self.over], np.int64)}
+        numbers = [self._begun, self.until, self.goal, self.over]
+        return {"plan": self._plan, "round": np.array(numbers, np.int64)}
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Go on from a `state` of a schedule with the same arguments."""
-        self.passes = state["passes"].astype(np.int64)
-        self.until, self.goal, over = (int(n) for n in state["round"])
+        self._plan = state["plan"].astype(np.int64)
+        self._begun, self.until, self.goal, over = (int(n) for n in state["round"])
         self.over = bool(over)

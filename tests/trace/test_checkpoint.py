@@ -263,7 +263,7 @@ def kill_and_resume(spawn, folder, times, seed):
 
 @pytest.mark.compiled
 def test_killed_and_resumed(spawn, tmp_path):
-    assert kill_and_resume(spawn, tmp_path, 4, "a few") >= 1
+    assert kill_and_resume(spawn, tmp_path, 3, "a few") >= 1
 
 
 @pytest.mark.slow

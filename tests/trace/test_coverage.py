@@ -60,11 +60,11 @@ def classes(expected):
     return found
 
 
-def study(name, rays, runs):
+def study(name, rays, runs, **options):
     """Coverage of each class of cells, and of the albedo, over runs: name -> (mean, its standard error)."""
     surface, material = CASES[name]
     spec = parse_specimen({"surface": surface, "material": material, "grid": GRID})
-    tables = [measure(spec, rays=rays, seed=seed) for seed in range(runs)]
+    tables = [measure(spec, rays=rays, seed=seed, **options) for seed in range(runs)]
     truth = CLOSED_FORMS.get(name, np.mean([t.values for t in tables], axis=0))
     albedo = np.mean([t.row_albedo for t in tables], axis=0)
     masks = classes(np.mean([t.hits for t in tables], axis=0))
@@ -95,6 +95,12 @@ def outside(found, sigmas=3.0):
 def test_intervals_cover(name, rays):
     found = study(name, rays, runs=30)
     assert {"pole", "horizon", "all"} < set(found)
+    assert not outside(found), found
+
+
+def test_intervals_cover_where_rows_got_rays_by_their_errors():
+    """Whose errors are larger got more paths, up to half as many again."""
+    found = study("gaussian", 20_000, runs=30, target_error=0.4)
     assert not outside(found), found
 
 
