@@ -34,6 +34,7 @@ _GROUPS = 64  # batches are kept apart in that many groups at most
 _FRESNEL = 1024
 _FINE_SPREAD = math.radians(1.2)  # of theta_h, per point of the quadrature along theta
 _LEVELS = 10
+_GAUSS = math.sqrt(3.0)  # an interval over the distance of its two Gauss points
 
 
 class HalfVector:
@@ -171,8 +172,11 @@ class HalfVector:
         n = len(count)
         edges = STEP * np.arange(BINS + 1)
         solid_angle = 2.0 * math.pi * -np.diff(np.cos(edges))
-        density = area.sum(0) / self.batches / solid_angle
-        density_change = np.stack([_deviations(_moving_sum(area, 2**level), count) for level in range(_LEVELS)])
+        width = self._width()
+        density = _moving_sum(area.sum(0), width) / self.batches / _moving_sum(solid_angle, width)
+        density_change = np.stack(
+            [_deviations(_moving_sum(area, 2**level), count) for level in range(_LEVELS)]
+        )
         rho_change = _deviations(seen, count) - _deviations(window, count)[:, :, None, None]
         total = window.sum(0)[:, None, None]
         rho = np.where(total > 0, seen.sum(0) / np.where(total > 0, total, 1.0), np.nan)
@@ -183,11 +187,19 @@ class HalfVector:
         facets = self._sums[:, 0].sum()
         floor = 3.0 / (facets * np.cos(edges[:-1] + 0.5 * STEP) * one_degree)
         return Model(
-            STEP, density, floor, self._fresnel,
+            STEP, width, density, floor, self._fresnel,
             axis(self._nodes.tilt), axis(self._nodes.opening), axis(self._nodes.turn),
             rho, count, np.ascontiguousarray(np.moveaxis(density_change, 1, 2)),
             np.ascontiguousarray(np.moveaxis(rho_change, 0, 3)),
         )  # fmt: skip
+
+    def _width(self) -> int:
+        """Bins of tilt to average D over: as many as lie between two points of the quadrature of a 1-degree cell.
+
+        A tenth of alpha at most, over which D hardly bends.
+        """
+        between = 0.5 * math.radians(1.0) / _GAUSS
+        return max(1, int(min(between, 0.1 * self._nodes.alpha) / STEP))
 
     def _groups(self) -> tuple[Array, Array, Array, Array]:
         """Batches of each group in use, and their sums: area by tilt, area in the windows, of that what is seen."""

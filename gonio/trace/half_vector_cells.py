@@ -23,16 +23,16 @@ from gonio.trace.visibility import projected_area
 
 Array = NDArray[np.float64]
 
-_GAUSS = math.sqrt(3.0)  # an interval over the distance of its two Gauss points
-
 
 class Model(NamedTuple):
     """What the estimate is made of."""
 
     step: float
     """Width of the bins of tilt, radians."""
+    width: int
+    """Of the average D in bins."""
     density: Array
-    """(N,) D of each bin of tilt, 1/sr."""
+    """(N,) D about each bin of tilt, averaged over `width` bins, 1/sr."""
     floor: Array
     """(N,) D that is likely not exceeded where no facet was met, 1/sr."""
     fresnel: Array
@@ -43,8 +43,8 @@ class Model(NamedTuple):
     """Nodes of theta_h, theta_d over its largest, phi_d; radians."""
     rho: Array
     """(A, B, P)"""
-    count: Array
-    """(G,) batches in each group of them."""
+    batches: Array
+    """(G,) in each group of them."""
     density_change: Array
     """(L, N, G) relative deviation of D over 2^level bins about each bin, from its mean, in each group."""
     rho_change: Array
@@ -124,7 +124,7 @@ def row_cells(model, row, fast, fine, spread, values, std_error, by_tilt, by_nod
                 average = _average(model, row, ring, sector, fine, values[cell], std_error[cell])
             low, high, tilt, a, b, p, x, y, z = average
             k = min(int(tilt / model.step), last)
-            level = int(math.log2(max(1.0, _GAUSS * (high - low) / model.step)))
+            level = int(math.log2(model.width + (high - low) / model.step))
             level = min(level, model.density_change.shape[0] - 1)
             variance = _variance(model, level, k, a, b, p, x, y, z)
             node = (a + int(x + 0.5)) * model.rho.shape[1] + b + int(y + 0.5)
@@ -223,9 +223,9 @@ def _interpolate(f, a, b, p, x, y, z):
 def _variance(model, level, k, a, b, p, x, y, z):
     """Relative variance of a cell's mean over all batches, from what each group of batches makes of D times rho."""
     total = squares = 0.0
-    groups = model.count.shape[0]
+    groups = model.batches.shape[0]
     for g in range(groups):
         change = model.density_change[level, k, g] + _interpolate(model.rho_change[..., g], a, b, p, x, y, z)
-        total += model.count[g]
-        squares += model.count[g] * change * change
+        total += model.batches[g]
+        squares += model.batches[g] * change * change
     return squares / (max(groups - 1, 1) * total)
