@@ -15,7 +15,7 @@ from gonio.trace.analog import Beam, Bins, Part, Sums
 from gonio.trace.estimators import ANALOG, HALF_VECTOR, roughness
 from gonio.trace.facets import measure_facets
 from gonio.trace.half_vector import HalfVector
-from gonio.trace.remainder import BLOCK_PHI_DEG, BLOCK_THETA_DEG
+from gonio.trace.remainder import block_steps_deg
 from gonio.trace.tally import Tally, new_accumulators
 from gonio.trace.tracer import Surface, Tracer
 from microgeometry.specimen import Specimen
@@ -82,12 +82,6 @@ class BatchTracer:
         self.theta_edges = np.radians(np.linspace(0, 90, round(90 / grid.theta_step_deg) + 1))
         self.phi_edges = np.radians(np.linspace(0, 180, round(180 / grid.phi_step_deg) + 1))
         self.areas = projected_solid_angles(self.theta_edges, self.phi_edges)
-        half_vector = job.estimator == HALF_VECTOR
-        block_theta = max(grid.theta_step_deg, BLOCK_THETA_DEG if half_vector else 0.0)
-        block_phi = max(grid.phi_step_deg, BLOCK_PHI_DEG if half_vector else 0.0)
-        self.bin_theta_edges = np.radians(np.linspace(0, 90, round(90 / block_theta) + 1))
-        self.bin_phi_edges = np.radians(np.linspace(0, 180, round(180 / block_phi) + 1))
-        self.bin_areas = projected_solid_angles(self.bin_theta_edges, self.bin_phi_edges)
         sin2_edges = np.sin(self.theta_edges) ** 2
         if grid.theta_i_deg is None:
             self.theta_i_edges: Array | None = self.theta_edges
@@ -100,8 +94,13 @@ class BatchTracer:
         self._strata = 2 ** (job.exponent // 2), 2 ** (job.exponent - job.exponent // 2)
         self.paths_per_pass = 16 * 2**job.exponent
         self.tracer = Tracer(job.specimen, job.seed, self.paths_per_pass)
-        self.alpha = roughness(self.tracer) if half_vector else None
-        self._orders = max(2, grid.orders) if half_vector else grid.orders
+        self.alpha = roughness(self.tracer) if job.estimator == HALF_VECTOR else None
+        self._orders = grid.orders if self.alpha is None else max(2, grid.orders)
+        steps = grid.theta_step_deg, grid.phi_step_deg
+        theta_step, phi_step = steps if self.alpha is None else block_steps_deg(self.alpha, *steps)
+        self.bin_theta_edges = np.radians(np.linspace(0, 90, round(90 / theta_step) + 1))
+        self.bin_phi_edges = np.radians(np.linspace(0, 180, round(180 / phi_step) + 1))
+        self.bin_areas = projected_solid_angles(self.bin_theta_edges, self.bin_phi_edges)
         self._bins = Bins(
             axis(np.sin(self.bin_theta_edges) ** 2),
             axis(-np.cos(self.bin_phi_edges)),

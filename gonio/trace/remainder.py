@@ -1,7 +1,7 @@
 """Light that is smooth in all angles, from coarse blocks to the cells of a fine table.
 
-After two or more bounces off a rough surface light knows little of the direction it came from: its BRDF R varies
-over tens of degrees, and cells of one degree that count paths hold more noise than information. It is
+After two or more bounces off a very rough surface light knows little of the direction it came from: its BRDF R
+varies over tens of degrees, and cells of one degree that count paths hold more noise than information. It is
 counted in blocks instead, and interpolated linearly between the blocks' centres. Over the pole of theta_i or
 theta_r the neighbour of a block is the one at delta phi on the other side of it,
 R(-theta, delta phi) = R(theta, pi - delta phi); around a pole, where R cannot depend much on delta phi, blocks
@@ -17,8 +17,20 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-BLOCK_THETA_DEG = 3.0
-BLOCK_PHI_DEG = 6.0
+_BLOCKS = (0.8, 3.0, 6.0), (0.45, 2.0, 3.0)
+
+
+def block_steps_deg(alpha: float, theta_step_deg: float, phi_step_deg: float) -> tuple[float, float]:
+    """Steps of theta and delta phi of the blocks, at least those of the table's cells.
+
+    Below alpha 0.45 the blocks are the cells: at grazing angles light of several bounces is as narrow there as that
+    of one. Measured with 7 million paths a row: blocks of 3 x 6 degrees are within the noise of a cell up to 85
+    degrees at alpha 1; at alpha 0.5 they are 0.3 % off there, and those of 2 x 3 degrees are within the noise.
+    """
+    for least, theta, phi in _BLOCKS:
+        if alpha >= least:
+            return max(theta, theta_step_deg), max(phi, phi_step_deg)
+    return theta_step_deg, phi_step_deg
 
 
 def spread(

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from gonio.trace.remainder import BLOCK_PHI_DEG, BLOCK_THETA_DEG, spread
+from gonio.trace.remainder import block_steps_deg, spread
 
-THETA = np.radians(np.arange(0, 90.1, BLOCK_THETA_DEG))
-PHI = np.radians(np.arange(0, 180.1, BLOCK_PHI_DEG))
+THETA = np.radians(np.arange(0, 90.1, 3.0))
+PHI = np.radians(np.arange(0, 180.1, 6.0))
 FINE = np.radians(np.arange(0.5, 90))
 FINE_PHI = np.radians(np.arange(0.5, 180))
 
@@ -69,3 +69,10 @@ def test_error_bars_are_those_of_noisy_blocks():
     scatter = np.var(runs, axis=0, ddof=1)
     # pairs (i, o) with i = o are averaged with themselves
     assert np.mean(scatter / error**2) == pytest.approx(1, abs=0.1)
+
+
+def test_blocks_shrink_with_roughness_and_are_never_smaller_than_cells():
+    assert block_steps_deg(1.0, 1.0, 1.0) == (3.0, 6.0)
+    assert block_steps_deg(0.5, 1.0, 1.0) == (2.0, 3.0)
+    assert block_steps_deg(0.2, 1.0, 1.0) == (1.0, 1.0)
+    assert block_steps_deg(1.0, 5.0, 10.0) == (5.0, 10.0)
