@@ -171,7 +171,13 @@ class BatchTracer:
             assert isinstance(realisation, Surface)
             assert isinstance(realisation.tile, HeightField)
             facets = measure_facets(
-                realisation.tile, realisation.scene, self.alpha, self.job.seed, batch, threads
+                realisation.tile,
+                realisation.scene,
+                self.alpha,
+                len(slots) * self.paths_per_pass,
+                self.job.seed,
+                batch,
+                threads,
             )
         self.seconds += time.perf_counter() - started
         return facets

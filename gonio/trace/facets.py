@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 
 BINS = 1800  # of tilt, 0.05 degrees each
 STEP = 0.5 * math.pi / BINS
-_ROUNDS = 1024  # of picks: the looks at a node and batch near the horizon
+_ROUNDS = 64, 1024  # of picks, at least and at most: the looks at a node and batch near the horizon
+_PATHS_PER_ROUND = 512  # looking then takes about as long as tracing (measured)
 # tilts in units of alpha; beyond the last, at exp(-9) of the peak, visibility is taken as there
 _TILTS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.35, 2.7, 3.0)
 _WINDOW = 0.05
@@ -75,6 +76,7 @@ def measure_facets(
     tile: HeightField,
     scene: TraceScene,
     alpha: float,
+    paths: int,
     seed: int,
     batch: int,
     threads: int | None = None,
@@ -88,6 +90,8 @@ def measure_facets(
         Of this tile alone.
     alpha : float
         Roughness of the surface; it only places the nodes of visibility and sets the visibility they correct.
+    paths : int
+        Traced in a batch; the more, the more facets look around.
     seed, batch : int
         Key of the random numbers.
     threads : int, optional
@@ -104,6 +108,7 @@ def measure_facets(
         z, tile.size[0] / scene.unit / nx, tile.size[1] / scene.unit / ny, float(z.mean()), float(z.std())
     )
     places = nodes(alpha)
+    rounds = int(np.clip(paths // _PATHS_PER_ROUND, *_ROUNDS))
     low, high = places.tilt - places.window, places.tilt + places.window
     tilts = np.empty((z.size, 2), np.float32)
     members = np.zeros(len(low), np.int64)
@@ -116,7 +121,7 @@ def measure_facets(
         if members[a] == 0:
             return 0
         return see_both(
-            scene.embree, scene.box, relief, tilts, low[a], high[a], members[a], a, places, _ROUNDS,
+            scene.embree, scene.box, relief, tilts, low[a], high[a], members[a], a, places, rounds,
             seed, batch, looks[a], sums.seen_area[a],
         )  # fmt: skip
 

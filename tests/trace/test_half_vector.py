@@ -18,6 +18,7 @@ from microgeometry.specimen import parse_specimen
 
 MIRROR = {"kind": "mirror"}
 METAL = {"kind": "conductor", "eta": 0.2, "k": 3.9}
+PATHS = 50_000  # a batch
 COARSE = {"theta_step_deg": 15, "phi_step_deg": 30}
 
 
@@ -32,7 +33,7 @@ def estimate(spec, alpha, batches, seed=0, threads=None):
     estimator = HalfVector(pack_optics(spec.layers[0]), None, 1, alpha)
     for batch in range(batches):
         tile = spec.surface.realise(_realisation_seed(seed, batch, 0))
-        estimator.add(measure_facets(tile, TraceScene([tile]), alpha, seed, batch, threads))
+        estimator.add(measure_facets(tile, TraceScene([tile]), alpha, PATHS, seed, batch, threads))
     return estimator
 
 

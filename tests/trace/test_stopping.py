@@ -47,7 +47,7 @@ def tally_of(energies, errors, hemispheres=1, paths=10**9):
 
 def verdict_of(energies, errors, hemispheres=1):
     tally = tally_of(energies, errors, hemispheres)
-    return judge(tally, np.ones((1, np.shape(energies)[-1])))
+    return judge(tally.totals, tally.rows, np.ones((1, np.shape(energies)[-1])))
 
 
 def test_the_cells_of_the_light_are_judged_at_the_95th_percentile():
