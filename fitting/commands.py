@@ -1,57 +1,153 @@
-"""The command line of fitting: `gonio fit` and `gonio tabulate`."""
+"""The command line of fitting: `gonio fit`, `gonio tabulate`, and the benchmark `fit`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import click
+import numpy as np
 
-from fitting.fit import fit
+from fitting.compare import Lobes, dumps, fit_lobes, fit_models, isotropic_models, save_fits
 from fitting.models import find_model
+from fitting.objectives import OBJECTIVES
 from fitting.result import Fit
 from fitting.tabulate import tabulate
+from gonio.bench import BENCHMARKS
 from gonio.progress import progress_bar
 from gonio.table.table import Table
+from microgeometry.errors import InputError
+
+BENCHMARKS["fit"] = "fitting.bench"
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 @click.command("fit")
-@click.argument("table", metavar="T", type=_FILE)
-@click.option("--model", required=True, metavar="NAME", help="Which model; an unknown name lists them all.")
-@click.option("-o", "--output", type=_FILE, metavar="FIT.json", help="Where to write the fit.")
-@click.option("--json", "as_json", is_flag=True, help="Print the fit as one JSON object.")
-def fit_command(table: Path, model: str, output: Path | None, as_json: bool) -> None:
-    """Fit an analytic model to a table, weighted by its error bars where it has any.
+@click.argument("tables", metavar="T...", type=_FILE, nargs=-1, required=True)
+@click.option("--model", required=True, metavar="NAME", help="A model, a sum of lobes by +, or all.")
+@click.option("--lobes", default="1", metavar="K", help="Glossy lobes: a number, several (1,2), or auto.")
+@click.option(
+    "--objective", metavar="NAME", help=f"{', '.join(OBJECTIVES)}; default chi2 if there are errors."
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Where the search starts.")
+@click.option("-o", "--output", type=_FILE, metavar="FIT.json", help="Where to write the fit, or the fits.")
+@click.option("--json", "as_json", is_flag=True, help="Print what -o writes, as one JSON object.")
+def fit_command(
+    tables: tuple[Path, ...],
+    model: str,
+    lobes: str,
+    objective: str | None,
+    seed: int,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Fit analytic models to tables, weighted by their error bars where they have any.
 
-    Angles above 80 degrees are left out.
+    Angles above 80 degrees are left out. Several models, numbers of lobes or tables give a ranked list, the
+    best first, and one JSON object of all fits.
     """
-    find_model(model)  # before a long load
-    with progress_bar("fit") as progress:
-        result = fit(Table.load(table), model, progress=progress)
-    if output is not None:
-        result.save(output)
-    if as_json:
-        click.echo(result.dumps(indent=None))
+    counts = _counts(lobes)
+    names = isotropic_models() if model == "all" else [find_model(model).name]
+    options = {"objective": objective, "seed": seed}
+    if len(tables) == 1 and len(names) == 1 and len(counts) == 1:
+        with progress_bar("fit") as progress:
+            result = fit_lobes(Table.load(tables[0]), names[0], counts[0], progress=progress, **options)
+        if output is not None:
+            result.save(output)
+        if as_json:
+            click.echo(result.dumps(indent=None))
+        else:
+            _tell(result)
         return
-    for lobe in result.lobes:
-        shape = ", ".join(f"{name} {value:.6g}" for name, value in lobe.parameters.items())
-        click.echo(f"{lobe.name}{': ' + shape if shape else ''}")
+    found: dict[str, list[Fit]] = {}
+    for path in tables:
+        with progress_bar(path.name) as progress:
+            found[str(path)] = fit_models(Table.load(path), names, counts, progress=progress, **options)
+        if not as_json:
+            _rank(str(path), found[str(path)])
+    if len(tables) > 1 and not as_json:
+        _summary(found)
+    if output is not None:
+        save_fits(found, output)
+    if as_json:
+        click.echo(dumps(found))
+
+
+def _counts(text: str) -> list[Lobes]:
+    counts: list[Lobes] = []
+    for part in text.split(","):
+        if part == "auto":
+            counts.append("auto")
+        elif part.isdecimal() and int(part) > 0:
+            counts.append(int(part))
+        else:
+            raise InputError(
+                f"lobes: {part!r}; a number from 1, several joined by commas, or auto is allowed"
+            )
+    return counts
+
+
+def _tell(result: Fit) -> None:
+    """A fit in words."""
+    sure = iter([] if result.confidence is None else result.confidence["parameters"])
+
+    def number(name: str, value: float) -> str:
+        of = next(sure, None)
+        if of is None or of["at_bound"] or of["lower"] is None or of["upper"] is None:
+            return f"{name} {value:.6g}"
+        return f"{name} {value:.6g} ({of['lower']:.6g} to {of['upper']:.6g})"
+
+    # intervals stand in the order of the unknowns: shape parameters of all lobes first
+    shapes = [[number(k, v) for k, v in lobe.parameters.items()] for lobe in result.lobes]
+    for lobe, shape in zip(result.lobes, shapes, strict=True):
+        click.echo(f"{lobe.name}{': ' + ', '.join(shape) if shape else ''}")
         for name, by_channel in lobe.coefficients.items():
-            click.echo(f"  {name}: " + ", ".join(f"{c} {v:.6g}" for c, v in by_channel.items()))
+            click.echo(f"  {name}: " + ", ".join(number(c, v) for c, v in by_channel.items()))
     click.echo(
         f"minimised {result.objective}; " + ", ".join(f"{k} {v:.4g}" for k, v in result.residuals.items())
     )
-    if "chi2" in result.residuals and result.degrees_of_freedom:
-        ratio = result.residuals["chi2"] / result.degrees_of_freedom
-        click.echo(f"chi2 per degree of freedom {ratio:.3f}: near 1 where the model describes the table")
+    if result.goodness is not None:
+        ratio = result.goodness["chi2"] / result.goodness["degrees_of_freedom"]
+        click.echo(
+            f"chi2 per degree of freedom {ratio:.3f}, residuals of neighbours correlate by "
+            f"{result.goodness['neighbours']:.1f} sigma: p = {result.goodness['p_value']:.2g}"
+        )
     left = ", ".join(f"{n} {reason}" for reason, n in result.cells_left_out.items()) or "none"
     click.echo(f"{result.cells_used} cells used; left out: {left}")
     energy = "at most 1" if result.albedo["conserves_energy"] else "above 1: the fit creates energy"
     click.echo(f"largest albedo {result.albedo['largest']:.4f}, {energy}")
+    if not result.reciprocity["reciprocal"]:
+        click.echo(f"not reciprocal: differs by {result.reciprocity['largest_difference']:.2g}")
     for note in result.notes:
         click.echo(f"note: {note}")
     click.echo(f"{result.evaluations} evaluations, {result.seconds:.2f} s")
+
+
+def _rank(name: str, fits: list[Fit]) -> None:
+    """The fits of one table as lines, the best first."""
+    best = fits[0].criterion
+    click.echo(f"{name}: {fits[0].cells_used} cells, minimised {fits[0].objective}")
+    click.echo(
+        f"{'':>4}  {'model':48}{'BIC - best':>12}{'ngan_l2 (rel.)':>16}{'low_log':>11}{'albedo':>9}{'s':>7}"
+    )
+    for rank, each in enumerate(fits, 1):
+        above = 0.0 if each.criterion is None or best is None else each.criterion - best
+        click.echo(
+            f"{rank:4}  {each.model:48}{above:12.4g}{each.residuals['relative_ngan_l2']:16.4f}"
+            f"{each.residuals['low_log']:11.4g}{each.albedo['largest']:9.3f}{each.seconds:7.2f}"
+        )
+
+
+def _summary(found: dict[str, list[Fit]]) -> None:
+    """Medians over tables, by model."""
+    names = {each.model for fits in found.values() for each in fits}
+    medians = {}
+    for name in names:
+        of = [e.residuals["relative_ngan_l2"] for fits in found.values() for e in fits if e.model == name]
+        medians[name] = float(np.median(of)), len(of)
+    click.echo(f"all {len(found)} tables: median relative ngan_l2")
+    for name, (value, count) in sorted(medians.items(), key=lambda item: item[1]):
+        click.echo(f"{'':6}{name:48}{value:12.4f}" + (f"  ({count} tables)" if count < len(found) else ""))
 
 
 @click.command("tabulate")

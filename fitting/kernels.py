@@ -1,4 +1,4 @@
-"""Compiled loops of the fit: cell averages of a model's terms, normal equations, pooling of variances.
+"""Compiled loops about cells: averages of a model's terms, pooling of variances.
 
 Cells are triples (row, ring, sector) into three small tables of quadrature nodes (see `fitting.grid`),
 so no direction is stored per cell and nothing is copied per evaluation. A table of nodes has the shape
@@ -78,63 +78,8 @@ def _cell_terms(kinds, shapes, rows, rings, sectors, cells, levels, exact_rows, 
         _average_terms(kinds, shapes, rows, rings, sectors, cells[index], level, exact_rows, out[index])
 
 
-def normal_equations(
-    kinds: NDArray, shapes: NDArray, nodes: tuple, cells: NDArray, levels: NDArray, exact_rows: bool,
-    values: NDArray, weights: NDArray,
-) -> NDArray[np.float64]:  # fmt: skip
-    """Weighted normal equations of every channel, the terms evaluated on the fly.
-
-    Parameters
-    ----------
-    kinds, shapes, nodes, cells, levels, exact_rows
-        As `cell_terms`.
-    values, weights : ndarray, shape (N, C)
-
-    Returns
-    -------
-    ndarray, shape (CHUNKS, C, 2 L, 2 L + 1)
-        Sums of w t_j t_k, lower triangle, and in the last column of w t_j y; to be summed over chunks.
-    """
-    n, channels = values.shape
-    size = 2 * len(kinds)
-    parts = np.zeros((CHUNKS, channels, size, size + 1))
-
-    def task(chunk: int) -> None:
-        part = slice(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS)
-        _normal_equations(
-            kinds,
-            shapes,
-            *nodes,
-            cells[part],
-            levels[part],
-            exact_rows,
-            values[part],
-            weights[part],
-            parts[chunk],
-        )
-
-    for_each(task, CHUNKS)
-    return parts
-
-
 @kernel
-def _normal_equations(kinds, shapes, rows, rings, sectors, cells, levels, exact_rows, values, weights, part):
-    size = 2 * len(kinds)
-    terms = np.empty(size)
-    for index in range(len(cells)):
-        level = np.int64(levels[index])
-        _average_terms(kinds, shapes, rows, rings, sectors, cells[index], level, exact_rows, terms)
-        for channel in range(values.shape[1]):
-            w, y = weights[index, channel], values[index, channel]
-            for j in range(size):
-                wt = w * terms[j]
-                for k in range(j + 1):
-                    part[channel, j, k] += wt * terms[k]
-                part[channel, j, size] += wt * y
-
-
-@kernel
-def pooled_variance(variance, counts, usable, areas, least):
+def pooled_variance(values, variance, counts, usable, areas, least):
     """Variances of one row's cells, smoothed over blocks that hold enough hits.
 
     A variance estimated from the cell's own few hits is low where the value happens to be low, so
@@ -144,8 +89,9 @@ def pooled_variance(variance, counts, usable, areas, least):
 
     Parameters
     ----------
+    values : ndarray, shape (R, P, C)
     variance : ndarray, shape (R, P, C)
-        Squared standard errors of the values.
+        Their squared standard errors.
     counts : ndarray, shape (R, P)
         Hits.
     usable : ndarray of bool, shape (R, P)
@@ -181,7 +127,7 @@ def pooled_variance(variance, counts, usable, areas, least):
             stack.append(first)
             stack.append(second)
         else:
-            _smooth_block(variance, counts, usable, areas, r0, r1, s0, s1, out)
+            _smooth_block(values, variance, usable, areas, r0, r1, s0, s1, out)
     return out
 
 
@@ -193,18 +139,29 @@ def _hits(sums, block):
 
 
 @kernel
-def _smooth_block(variance, counts, usable, areas, r0, r1, s0, s1, out):
-    """Variance x area is taken as constant over a block and estimated from each chessboard colour."""
+def _smooth_block(values, variance, usable, areas, r0, r1, s0, s1, out):
+    """Variance x area is taken as constant over a block and estimated from each chessboard colour.
+
+    A fit uses the inverse: of n Poisson hits E[1/(n + 1)] is 1/mean but for a share exp(-mean), so an estimate
+    from n hits, or of the scatter of n equal ones, is made larger by (n + 1)/n.
+    """
     for channel in range(out.shape[2]):
         squares = np.zeros(2)
+        fourth = np.zeros(2)
         area = np.zeros(2)
         for r in range(r0, r1):
             for s in range(s0, s1):
                 if usable[r, s]:
                     # an empty cell's error is an upper bound; its share of the variance is zero
-                    if counts[r, s] > 0:
-                        squares[(r + s) % 2] += variance[r, s, channel] * areas[r, s] ** 2
+                    v, y = variance[r, s, channel], values[r, s, channel]
+                    if v > 0.0 and y != 0.0:
+                        square = v * areas[r, s] ** 2
+                        squares[(r + s) % 2] += square
+                        fourth[(r + s) % 2] += square * square * min(1.0, v / (y * y))  # y^2/v hits
                     area[(r + s) % 2] += areas[r, s]
+        for colour in range(2):
+            if squares[colour] > 0.0:
+                squares[colour] *= 1.0 + fourth[colour] / squares[colour] ** 2
         for r in range(r0, r1):
             for s in range(s0, s1):
                 other = 1 - (r + s) % 2

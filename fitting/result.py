@@ -26,6 +26,10 @@ SCHEMA = "gonio-fit/1"
 """Name and major version of the JSON file; a reader refuses another major version."""
 
 
+SEVERAL = "gonio-fits/1"
+"""The same of a file of several fits, see `fitting.compare`."""
+
+
 class Terms(NamedTuple):
     """A model as the kernels take it: f_r of channel c = sum over k of weights[k, c] x lobe k.
 
@@ -65,8 +69,14 @@ class Fit:
     residuals : mapping of str to float
         Every metric of `fitting.metrics.metrics`, on the same cells.
     degrees_of_freedom : int, optional
-        Values less parameters: what chi2 should come to if the model holds. Channels count as
-        independent, which those of one traced table are not.
+        Values less parameters: what chi2 should come to if the model holds.
+    goodness : mapping, optional
+        chi2, its degrees of freedom, its standard deviation and its p-value; see `fitting.confidence`.
+    criterion : float, optional
+        Bayes' information criterion; smaller is better, for one objective on the same cells.
+    confidence : mapping, optional
+        level; parameters, one object each: lobe (its number), name, channel (None of a shape parameter),
+        value, std_error, lower and upper end of the interval, at_bound; correlation, their matrix.
     evaluations : int
         Of the objective, both stages.
     seconds : float
@@ -77,6 +87,8 @@ class Fit:
         Polar angles beyond were left out.
     albedo : mapping
         theta_i_deg; values, directional albedo by channel; largest; conserves_energy.
+    reciprocity : mapping
+        largest_difference, of f(i, o) and f(o, i) relative to their mean; reciprocal.
     notes : tuple of str
         What a reader of the numbers should know.
     provenance : mapping
@@ -92,12 +104,16 @@ class Fit:
     objective: str | None = None
     residuals: Mapping[str, float] = field(default_factory=dict)
     degrees_of_freedom: int | None = None
+    goodness: Mapping[str, float] | None = None
+    criterion: float | None = None
+    confidence: Mapping[str, Any] | None = None
     evaluations: int = 0
     seconds: float = 0.0
     cells_used: int = 0
     cells_left_out: Mapping[str, int] = field(default_factory=dict)
     theta_limit_deg: float | None = None
     albedo: Mapping[str, Any] = field(default_factory=dict)
+    reciprocity: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -193,6 +209,13 @@ def versions() -> dict[str, str]:
 
 def _from_json(content: Any) -> Fit:
     _is(content, dict, "content", "an object with the keys model and lobes")
+    if content.get("schema") == SEVERAL:
+        tables = _is(content.get("tables"), dict, "tables", "an object")
+        if len(tables) != 1 or not all(isinstance(fits, list) and fits for fits in tables.values()):
+            raise InputError(
+                f"tables: fits of {len(tables)} tables; those of one are expected, the first is taken"
+            )
+        return _from_json(next(iter(tables.values()))[0])
     allowed = ["schema", *(f.name for f in dataclasses.fields(Fit))]
     _known(content, allowed, "key")
     schema = content.get("schema", SCHEMA)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitting.grid import Grid
 from fitting.kernels import pooled_variance
+from gonio.core.parallel import for_each
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -170,6 +171,18 @@ class Samples:
             theta_limit_deg=theta_limit_deg,
         )
 
+    def take(self, picks: NDArray[np.intp]) -> Samples:
+        """Some of the samples."""
+        return replace(
+            self,
+            cells=self.cells[picks],
+            values=self.values[picks],
+            variance=None if self.variance is None else self.variance[picks],
+            cos_i=self.cos_i[picks],
+            sin_i=self.sin_i[picks],
+            sin_o=self.sin_o[picks],
+        )
+
     def terms(self, kinds: NDArray[np.int64], shapes: Array, levels: int | NDArray[np.int8]) -> Array:
         """Cell averages of a model's terms, shape (N, 2 L)."""
         return self.grid.terms(kinds, shapes, self.cells, levels)
@@ -187,7 +200,10 @@ def _smooth(table: Table, usable: NDArray[np.bool_]) -> Array:
         counts = np.mean(ratio, axis=-1)
     areas = table.projected_solid_angles
     return np.stack(
-        [pooled_variance(v, c, u, areas, _POOL) for v, c, u in zip(variance, counts, usable, strict=True)]
+        for_each(
+            lambda i: pooled_variance(table.values[i], variance[i], counts[i], usable[i], areas, _POOL),
+            len(variance),
+        )
     )
 
 

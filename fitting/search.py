@@ -1,9 +1,9 @@
-"""The search over shape parameters: the objective with coefficients eliminated, and nlopt's two stages."""
+"""The search over parameters: nlopt over the whole range on a few cells, then steps on all of them."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -11,26 +11,31 @@ import nlopt
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.kernels import normal_equations
-from fitting.linear import Coefficients
 from fitting.models import Lobe
+from fitting.objectives import Objective
+from fitting.problem import Point, Problem, solve_scaled
 from fitting.samples import Samples
 
 Array = NDArray[np.float64]
 
 COARSE_CELLS = 6000
-_GLOBAL_EVALUATIONS = 120  # per shape parameter
-_LOCAL_EVALUATIONS = 20  # points with their gradient, per shape parameter
-_NEGLIGIBLE = 1e-13  # gain of the objective, relative to the sum of squared values
-_NEWTON_STEPS = 3
-_TRUST = 0.05  # longest of them
-_STEP = 2e-4  # of central differences, in the search's variables
-_POINTS = 2_500_000  # most quadrature points of the final stage
+_FINE = 32  # times rarer must cells about the mirror direction be, to have 4 x 4 x 4 nodes in this stage
+_GLOBAL_EVALUATIONS = 30  # and as many again per shape parameter
+_LOCAL_EVALUATIONS = 25
+_PERFECT = 1e-20  # of the objective of a model that is 0: nothing left to find elsewhere
+_STEPS = 60
+_APART = 0.1  # in a shape parameter: not in one valley, it may be
+_PLACES = (0.25, 0.5, 0.75)  # of a new lobe's parameters in their range
+_OPTICS = 10  # other starts
+_MOVED = 1e-7  # of the range of a shape parameter: close enough
+_GAIN = 1e-3  # of a degree of freedom's share of the objective: a thirtieth of a standard error
+_DAMPING = 1e-3  # when a step has failed first
+_MOST_DAMPING = 1e8
 
 
 @dataclass(eq=False)
 class Budget:
-    """Evaluations and seconds left, and what is told about them."""
+    """Seconds left, looks at the cells so far, and what is told about them."""
 
     deadline: float
     evaluations: int = 0
@@ -40,252 +45,220 @@ class Budget:
         """Seconds left, at least a little: nlopt takes 0 for no limit."""
         return max(1e-3, self.deadline - time.perf_counter())
 
+    @property
+    def late(self) -> bool:
+        """Whether the time is over."""
+        return time.perf_counter() >= self.deadline
 
-class Objective:
-    """Weighted sum of squares as a function of the shape parameters on [0, 1], coefficients eliminated."""
-
-    def __init__(
-        self, lobes: Sequence[Lobe], samples: Samples, weights: Array, levels: NDArray[np.int8]
-    ) -> None:
-        self.lobes = tuple(lobes)
-        self.samples, self.weights, self.levels = samples, weights, levels
-        self.coefficients = Coefficients(lobes)
-        self.kinds = np.array([lobe.kind for lobe in lobes], np.int64)
-        self.parameters = [(i, q) for i, lobe in enumerate(lobes) for q in lobe.parameters]
-        self.squares = np.einsum("nc,nc,nc->c", weights, samples.values, samples.values)
-        self.norm = float(self.squares.sum()) or 1.0
-
-    def shapes(self, x: Array) -> Array:
-        """Packed lobes, shape (L, SIZE), for the search's variables."""
-        values: list[dict[str, float]] = [{} for _ in self.lobes]
-        for u, (i, parameter) in zip(x, self.parameters, strict=True):
-            values[i][parameter.name] = parameter.from_unit(float(u))
-        return np.stack([lobe.pack(v) for lobe, v in zip(self.lobes, values, strict=True)])
-
-    def solve(self, x: Array) -> tuple[Array, float]:
-        """Best coefficients, shape (J, C), and the sum of squares at `x`."""
-        grid = self.samples.grid
-        shapes = self.shapes(x)
-        parts = normal_equations(
-            self.kinds,
-            shapes,
-            (grid.rows, grid.rings, grid.sectors),
-            self.samples.cells,
-            self.levels,
-            grid.exact_rows,
-            self.samples.values,
-            self.weights,
-        )
-        return self.coefficients.solve(parts.sum(axis=0), self.squares, shapes)
-
-    def values(self, x: Array, coefficients: Array, levels: int | NDArray[np.int8] | None = None) -> Array:
-        """The model's cell averages, shape (N, C)."""
-        used = self.levels if levels is None else levels
-        shapes = self.shapes(x)
-        terms = self.samples.terms(self.kinds, shapes, used)
-        return terms @ self.coefficients.factors(coefficients, shapes)
+    def tell(self, done: float, point: Point) -> None:
+        """Report progress."""
+        if self.progress is not None:
+            self.progress(min(1.0, done), f"residual {point.value:.3g}")
 
 
-def coarse(lobes: Sequence[Lobe], samples: Samples, weights: Array) -> Objective:
-    """The objective on a few thousand cells, drawn by their share of it and weighted back.
+def coarse(
+    lobes: tuple[Lobe, ...], samples: Samples, objective: Objective, cells: int = COARSE_CELLS
+) -> Problem:
+    """The problem on a few thousand cells, drawn by their share of the objective and weighted back.
 
     Systematic sampling, half by share and half evenly; deterministic.
     """
     n = len(samples.cells)
-    if n > COARSE_CELLS:
-        share = np.einsum("nc,nc,nc->n", weights, samples.values, samples.values)
+    if n > cells:
+        share = objective.shares(samples)
         total = share.sum()
         probability = np.full(n, 0.5 / n) + (0.5 * share / total if total > 0 else 0.5 / n)
-        probability = np.minimum(1.0, COARSE_CELLS * probability)
+        probability = np.minimum(1.0, cells * probability)
         picks = np.flatnonzero(np.diff(np.floor(np.concatenate([[0.5], 0.5 + np.cumsum(probability)]))))
-        weights = weights[picks] / probability[picks, None]
-        samples = _take(samples, picks)
-    levels = np.zeros(len(samples.cells), np.int8)
-    if samples.grid.rows.shape[0] > 1:
-        levels[:] = np.where(samples.grid.near_mirror(samples.cells), 2, 1)
-    return Objective(lobes, samples, weights, levels)
+        objective = replace(objective, weights=objective.weights[picks] / probability[picks, None])
+        samples = samples.take(picks)
+    mirror = samples.grid.near_mirror(samples.cells)
+    fine = 2 if np.count_nonzero(mirror) * _FINE < len(mirror) else 1
+    levels = np.where(mirror, fine, 0).astype(np.int8)
+    return Problem(lobes, samples, objective, levels)
 
 
-def refined(rough: Objective, x: Array, samples: Samples, weights: Array) -> Objective:
-    """The objective on all cells, with as many quadrature nodes in each as the shape at `x` asks for.
+def explore(
+    lobes: tuple[Lobe, ...], samples: Samples, objective: Objective, budget: Budget, seed: int
+) -> Point:
+    """Find where the minimum is, on a few thousand cells.
 
-    A cell goes to the next level where the two differ; the largest weighted differences come first, until
-    what is left is negligible or half of the points still to be had are used.
+    Where a lobe stands several times, its copies are added one at a time, and the search with one more also
+    starts from what was found without it: more lobes never fit worse.
     """
-    objective = Objective(rough.lobes, samples, weights, np.zeros(len(samples.cells), np.int8))
-    if samples.grid.rows.shape[0] == 1:
-        return objective
-    coefficients, _ = rough.solve(x)
-    shapes = objective.shapes(x)
-    factors = rough.coefficients.factors(coefficients, shapes)
-    dimensions = 2 if samples.grid.exact_rows else 3
-    tolerance = 1e-10 * objective.norm
-    chosen = np.arange(len(samples.cells))
-    before = samples.terms(objective.kinds, shapes, 0) @ factors
-    points = len(chosen)
-    for level in (1, 2, 3):
-        each = 2 ** (dimensions * level)
-        affordable = (_POINTS - points) // (2 * each)
-        if level > 1:  # sorted: the rest could not be afforded
-            chosen, before = chosen[:affordable], before[:affordable]
-        if affordable <= 0:
-            break
-        after = samples.grid.terms(objective.kinds, shapes, samples.cells[chosen], level) @ factors
-        error = np.einsum("nc,nc->n", weights[chosen], (after - before) ** 2)
-        order = np.argsort(error)[::-1]
-        needed = int(np.count_nonzero(np.cumsum(error[order][::-1])[::-1] > tolerance))
-        take = order[: min(needed, affordable)]
-        if len(take) == 0:
-            break
-        chosen, before = chosen[take], after[take]
-        objective.levels[chosen] = level
-        points += each * len(take)
-    return objective
+    copies = max((lobes.count(lobe) for lobe in lobes if lobe.parameters), default=1)
+    point: Point | None = None
+    chosen: list[int] = []
+    for count in range(1, copies + 1):
+        before = chosen
+        chosen = [n for n, lobe in enumerate(lobes) if lobes[:n].count(lobe) < count]
+        problem = coarse(tuple(lobes[n] for n in chosen), samples, objective)
+        start = np.random.default_rng(seed).random(len(problem.parameters))
+        span = (0.5 * (count - 1) / copies, 0.5 * count / copies)
+        starts = search(problem, start, budget, seed, span)
+        if point is not None:
+            starts += _extended(problem, chosen, before, point)
+        starts += _other_optics(problem, starts[0])
+        found: list[Point] = []
+        for begin in starts:
+            found.append(descend(problem, begin, budget, (span[1], span[1])))
+            if found[-1].value < _PERFECT:
+                break
+        point = min(found, key=lambda p: p.value)
+        budget.evaluations += problem.evaluations
+    assert point is not None
+    return point
 
 
-def search(objective: Objective, start: Array, budget: Budget, seed: int) -> Array:
-    """Minimise over the whole range [0, 1]^D: nlopt's multi-level single linkage, Subplex in each start.
+def _extended(problem: Problem, chosen: list[int], before: list[int], point: Point) -> list[Point]:
+    """A point of fewer lobes with new ones beside them, wide, medium and narrow."""
+    out = []
+    for place in _PLACES:
+        known = iter(point.x)
+        x = [
+            next(known) if chosen[lobe] in before else place
+            for lobe, _ in problem.parameters
+        ]  # fmt: skip
+        rows = iter(point.coefficients)
+        coefficients = [
+            next(rows) if chosen[lobe] in before else np.zeros(problem.channels)
+            for lobe, _ in problem.coefficients.names
+        ]
+        out.append(problem.evaluate(np.array(x), np.stack(coefficients)))
+    return out
+
+
+def _other_optics(problem: Problem, point: Point) -> list[Point]:
+    """A point with its optical parameters elsewhere, if there are several, by a low-discrepancy sequence."""
+    optical = [n for n, (_, q) in enumerate(problem.parameters) if q.optical]
+    if len(optical) < 2:
+        return []
+    # Kronecker's sequence of the square roots of primes
+    ratios = np.sqrt(np.array([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0, 23.0, 29.0]))
+    out = []
+    for n in range(1, _OPTICS + 1):
+        x = point.x.copy()
+        x[optical] = n * np.resize(ratios, len(optical)) % 1.0
+        out.append(problem.reduced(x, None))
+    return out
+
+
+def search(
+    problem: Problem, start: Array, budget: Budget, seed: int, span: tuple[float, float]
+) -> list[Point]:
+    """Minimise over the whole range of the shape parameters, the coefficients being the best for each.
+
+    nlopt's multi-level single linkage: local searches, sequential quadratic programming with the gradient,
+    from a low-discrepancy sequence of starts and from `start`.
 
     Returns
     -------
-    ndarray, shape (D,)
-        The best point met, also where time ran out.
+    list of Point
+        The best met, and the best of those that lie apart from it and from each other; also where time ran out.
     """
-    watched = _Watched(objective, budget, _GLOBAL_EVALUATIONS, (0.0, 0.5))
     dimensions = len(start)
-    local = nlopt.opt(nlopt.LN_SBPLX, dimensions)
-    local.set_xtol_abs(1e-5)
-    local.set_maxeval(60 * dimensions)
+    if dimensions == 0:
+        return [problem.reduced(start, None)]
+    most = _GLOBAL_EVALUATIONS * (1 + dimensions)
+    found: list[Point] = []
+    count = 0
+
+    def value(x: Array, gradient: Array) -> float:
+        nonlocal count
+        count += 1
+        point = problem.reduced(np.array(x), None)
+        if gradient.size:
+            gradient[:] = -2.0 * problem.equations(point)[1][:dimensions]
+        if np.isfinite(point.value):
+            found.append(point)
+            budget.tell(span[0] + (span[1] - span[0]) * count / most, point)
+        if point.value < _PERFECT or budget.late:
+            optimizer.force_stop()
+        return point.value if np.isfinite(point.value) else 1e30
+
+    local = nlopt.opt(nlopt.LD_SLSQP, dimensions)
+    local.set_xtol_abs(1e-3)  # `descend` does the rest
+    local.set_ftol_rel(1e-3)
+    local.set_maxeval(_LOCAL_EVALUATIONS)
     optimizer = nlopt.opt(nlopt.G_MLSL_LDS, dimensions)
     optimizer.set_local_optimizer(local)
-    optimizer.set_population(6)
+    optimizer.set_population(4 + 2 * dimensions)
+    optimizer.set_lower_bounds(np.zeros(dimensions))
+    optimizer.set_upper_bounds(np.ones(dimensions))
+    optimizer.set_min_objective(value)
+    optimizer.set_maxeval(most)
+    optimizer.set_maxtime(budget.seconds())
     nlopt.srand(seed + 1)
-    return watched.minimise(optimizer, start, lambda x, _gradient: watched(x))
+    # nlopt reports an end at rounding errors as an exception; the best point met stands
+    with suppress(nlopt.RoundoffLimited, nlopt.ForcedStop, RuntimeError):
+        optimizer.optimize(start)
+    apart: list[Point] = []
+    for point in sorted(found, key=lambda p: p.value):
+        if all(np.abs(point.x - other.x).max() > _APART for other in apart):
+            apart.append(point)
+        if len(apart) == dimensions:
+            break
+    return apart or [problem.reduced(start, None)]
 
 
-def polish(objective: Objective, start: Array, budget: Budget, negligible: float = 0.0) -> Array:
-    """Minimise from a point close to the minimum: Newton's steps, then sequential quadratic programming.
+def descend(problem: Problem, start: Point, budget: Budget, span: tuple[float, float]) -> Point:
+    """Minimise from a point near the minimum: Levenberg and Marquardt's steps of all unknowns within bounds.
 
-    Both on central differences. The variables are scaled to unit curvature first, which spares the
-    library's method its own search for a scale.
+    The matrix of a step is that of Golub and Pereyra's in Kaufman's form if the coefficients are at their
+    best, as they are after every look at a quadratic objective. A step costs one look at the cells.
 
     Parameters
     ----------
-    objective : Objective
-    start : ndarray, shape (D,)
+    problem : Problem
+    start : Point
+        Of this problem.
     budget : Budget
-    negligible : float
-        Stop when less than this, relative to the sum of squared values, may still be gained; 1e-13 at least.
+    span : tuple of 2 float
+        Progress before and after.
 
     Returns
     -------
-    ndarray, shape (D,)
-        The best point met, also where time ran out.
+    Point
+        The best met, also where time ran out.
     """
-    watched = _Watched(objective, budget, _LOCAL_EVALUATIONS, (0.5, 1.0))
-    negligible = max(negligible, _NEGLIGIBLE)
-    dimensions = len(start)
-    centre = np.clip(start, _STEP, 1.0 - _STEP)
-
-    def differences(x: Array) -> tuple[float, Array, Array]:
-        """Value, gradient and diagonal of the Hessian; x is at least a step inside."""
-        middle = watched(x)
-        gradient, curvature = np.zeros(dimensions), np.zeros(dimensions)
-        for d in range(dimensions):
-            up, down = watched(x + _STEP * np.eye(dimensions)[d]), watched(x - _STEP * np.eye(dimensions)[d])
-            gradient[d] = (up - down) / (2.0 * _STEP)
-            curvature[d] = (up - 2.0 * middle + down) / _STEP**2
-        return middle, gradient, curvature
-
-    def gain(point: tuple[float, Array, Array], x: Array) -> float:
-        """What there may still be to gain, if curvature is diagonal: g^2 / 2h, off the bounds."""
-        inside = (x > 2.0 * _STEP) & (x < 1.0 - 2.0 * _STEP) & (point[2] > 0)
-        return 0.5 * float(np.sum(point[1][inside] ** 2 / point[2][inside]))
-
-    first = differences(centre)
-    # Newton's steps need three values for each parameter; a search by the library needs them several times
-    for _ in range(_NEWTON_STEPS):
-        convex = first[2] > 0
-        step = np.where(convex, -first[1] / np.where(convex, first[2], 1.0), 0.0)
-        moved = np.clip(centre + np.clip(step, -_TRUST, _TRUST), _STEP, 1.0 - _STEP)
-        there = differences(moved)
-        if gain(there, moved) < negligible:
-            return watched.best[1]
-        if not there[0] <= first[0]:
+    point, damping = start, 0.0
+    freedom = max(1, problem.samples.values.size - problem.size)
+    d = len(problem.parameters)
+    for count in range(_STEPS):
+        budget.tell(span[0] + (span[1] - span[0]) * count / 10.0, point)
+        if budget.late or point.value == 0.0:
             break
-        centre, first = moved, there
-    steepest = first[2].max()
-    if not (np.isfinite(steepest) and steepest > 0.0):
-        return watched.best[1]  # flat: nothing to gain
-    scale = 1.0 / np.sqrt(np.maximum(first[2], 1e-6 * steepest))
-
-    def value(z: Array, gradient: Array) -> float:
-        x = centre + scale * z
-        middle, slope, _ = first if not z.any() else differences(x)
-        if gradient.size:
-            gradient[:] = slope * scale
-        if gain((middle, slope, 1.0 / scale**2), x) < negligible:
-            optimizer.force_stop()
-        return middle
-
-    optimizer = nlopt.opt(nlopt.LD_SLSQP, dimensions)
-    optimizer.set_lower_bounds((_STEP - centre) / scale)
-    optimizer.set_upper_bounds((1.0 - _STEP - centre) / scale)
-    optimizer.set_xtol_abs(1e-7 / scale)
-    return watched.minimise(optimizer, np.zeros(dimensions), value, bounded=True)
+        matrix, right = problem.equations(point)
+        step = bounded_step(problem, point, matrix, right, damping)
+        gain = float(2.0 * step @ right - step @ matrix @ step)
+        small = np.abs(step[:d]).max(initial=0.0) < _MOVED and damping == 0.0
+        if (abs(gain) < _GAIN * point.value / freedom and small) or damping > _MOST_DAMPING:
+            break
+        trial = problem.evaluate(*problem.moved(point, step)) if gain > 0.0 else point
+        if trial.value < point.value:
+            rewarded = point.value - trial.value > 0.1 * gain
+            point, damping = trial, (0.0 if rewarded and damping <= _DAMPING else 0.1 * damping)
+        else:
+            damping = max(_DAMPING, 10.0 * damping)
+    budget.tell(span[1], point)
+    return point
 
 
-class _Watched:
-    """An objective, relative to the sum of squared values, that remembers the best and reports progress."""
-
-    def __init__(
-        self, objective: Objective, budget: Budget, evaluations: int, span: tuple[float, float]
-    ) -> None:
-        self.objective, self.budget, self.span = objective, budget, span
-        self.most = evaluations * max(1, len(objective.parameters))
-        self.count = 0
-        self.best = (np.inf, np.zeros(len(objective.parameters)))
-
-    def __call__(self, x: Array) -> float:
-        self.count += 1
-        self.budget.evaluations += 1
-        residual = self.objective.solve(x)[1] / self.objective.norm
-        if not np.isfinite(residual):
-            residual = 1e30
-        if residual < self.best[0] or self.count == 1:
-            self.best = (residual, np.array(x))
-        if self.budget.progress is not None:
-            share = min(1.0, self.count / self.most)
-            done = self.span[0] + share * (self.span[1] - self.span[0])
-            self.budget.progress(done, f"residual {self.best[0]:.3g}")
-        return residual
-
-    def minimise(
-        self,
-        optimizer: nlopt.opt,
-        start: Array,
-        value: Callable[[Array, Array], float],
-        bounded: bool = False,
-    ) -> Array:
-        if not bounded:
-            optimizer.set_lower_bounds(np.zeros(len(start)))
-            optimizer.set_upper_bounds(np.ones(len(start)))
-        optimizer.set_min_objective(value)
-        optimizer.set_maxeval(self.most)
-        optimizer.set_maxtime(self.budget.seconds())
-        # nlopt reports an end at rounding errors as an exception; the best point met stands
-        with suppress(nlopt.RoundoffLimited, nlopt.ForcedStop, RuntimeError):
-            optimizer.optimize(start)
-        return self.best[1]
-
-
-def _take(samples: Samples, picks: NDArray[np.intp]) -> Samples:
-    return replace(
-        samples,
-        cells=samples.cells[picks],
-        values=samples.values[picks],
-        variance=None if samples.variance is None else samples.variance[picks],
-        cos_i=samples.cos_i[picks],
-        sin_i=samples.sin_i[picks],
-        sin_o=samples.sin_o[picks],
-    )
+def bounded_step(problem: Problem, point: Point, matrix: Array, right: Array, damping: float) -> Array:
+    """The step that solves the equations within the bounds: what would leave them stops there, the rest goes on."""
+    position = np.concatenate([point.x, point.coefficients.ravel()])
+    lower = -position
+    upper = np.where(np.arange(len(position)) < len(point.x), 1.0 - position, np.inf)
+    step = np.zeros(len(position))
+    free = ~((lower >= 0.0) & (right <= 0.0) | (upper <= 0.0) & (right >= 0.0))
+    for _ in range(len(position)):
+        if not free.any():
+            break
+        rest = right[free] - matrix[np.ix_(free, ~free)] @ step[~free]
+        step[free] = solve_scaled(matrix[np.ix_(free, free)], rest, damping)
+        outside = free & ((step < lower) | (step > upper))
+        if not outside.any():
+            break
+        step[outside] = np.clip(step, lower, upper)[outside]
+        free &= ~outside
+    return np.clip(step, lower, upper)

@@ -24,6 +24,7 @@ _TOLERANCE = (
 )
 _ANGLES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 85.0)
 _LATTICE = 4096
+_PAIRS = 100
 
 
 def tabulate(fit: Fit, grid_like: Table | None = None, progress: Report | None = None) -> Table:
@@ -146,3 +147,23 @@ def albedo_check(fit: Fit) -> dict[str, Any]:
         "largest": largest,
         "conserves_energy": largest <= 1.0 + 1e-3,
     }
+
+
+def reciprocity_check(fit: Fit) -> dict[str, Any]:
+    """Largest difference of f(i, o) and f(o, i), relative to their mean, over pairs of directions and channels."""
+    kinds, shapes, weights = fit.terms()
+    n = np.arange(_PAIRS)
+    # low-discrepancy angles: Kronecker's sequence (Roberts 2018)
+    u = (n[:, None] * np.array([0.8191725, 0.6710436, 0.5497005]) + 0.5) % 1.0
+    largest = 0.0
+    for theta_i, theta_o, phi in u * np.array([0.47, 0.47, 1.0]) * np.pi:
+        wi = (math.sin(theta_i), 0.0, math.cos(theta_i))
+        wo = (math.sin(theta_o) * math.cos(phi), math.sin(theta_o) * math.sin(phi), math.cos(theta_o))
+        there, back = np.zeros(len(fit.channels)), np.zeros(len(fit.channels))
+        for kind, shape, weight in zip(kinds, shapes, weights, strict=True):
+            there += weight * lobe_eval(kind, shape, wi, wo)
+            back += weight * lobe_eval(kind, shape, wo, wi)
+        total = there + back
+        lit = total > 0.0
+        largest = max(largest, float(np.max(2.0 * np.abs(there - back)[lit] / total[lit], initial=0.0)))
+    return {"largest_difference": largest, "reciprocal": largest < 1e-6}

@@ -125,11 +125,18 @@ def info(table: Path, as_json: bool) -> None:
 @click.argument("table", type=_PATH)
 @_JSON
 def check(table: Path, as_json: bool) -> None:
-    """Check a table: reciprocity, energy, parts, positivity, noise. Exit status 1 if it fails."""
-    from gonio.table.checks import check as run_checks
+    """Check a table: reciprocity, energy, parts, positivity, noise. Exit status 1 if it fails.
 
-    report = run_checks(formats.read(table))
-    click.echo(json.dumps(report.to_json()) if as_json else "\n".join(report.lines()))
+    Ends with a map of the noise, where the table has error bars; --json holds it too, and the energy of every
+    theta_i.
+    """
+    from gonio.table.checks import check as run_checks
+    from gonio.table.checks import noise_lines
+
+    content = formats.read(table)
+    report = run_checks(content)
+    lines = report.lines() if content.std_error is None else [*report.lines(), *noise_lines(content)]
+    click.echo(json.dumps(report.to_json()) if as_json else "\n".join(lines))
     if not report.passed:
         raise click.exceptions.Exit(1)
 
@@ -142,19 +149,25 @@ def check(table: Path, as_json: bool) -> None:
     type=float,
     default=0.01,
     show_default=True,
-    help="Largest relative, cosine-weighted RMS error of any row and channel.",
+    help="Largest relative error of any row and channel: cosine-weighted RMS of the cells, and albedo.",
+)
+@click.option(
+    "--method", default="auto", show_default=True, help="Or one of those it names when it does not know one."
 )
 @_JSON
-def compress(table: Path, out: Path, max_error: float, as_json: bool) -> None:
-    """Compress a table and its parts within a bound on their error."""
+def compress(table: Path, out: Path, max_error: float, method: str, as_json: bool) -> None:
+    """Compress a table and its parts within a bound on their error, and not below their own noise.
+
+    By default all methods are tried quickly and the smallest is used.
+    """
     from gonio.table.compress import compress as run_compression
 
-    report = run_compression(formats.read(table), out, max_error)
+    report = run_compression(formats.read(table), out, max_error, method)
     if as_json:
         click.echo(json.dumps(asdict(report)))
         return
     click.echo(
-        f"{out}: {report.bytes / 1e3:.0f} kB, {report.ratio:.0f}:1 against float32; error of a row "
+        f"{out}: {report.method}, {report.bytes / 1e3:.0f} kB, {report.ratio:.0f}:1 against float32; error of a row "
         f"{report.error_median:.4f} (median), {report.error_worst:.4f} (worst); asked {report.max_error:g}, "
         f"the table's own noise {report.noise_median:.4f} (median), {report.noise_worst:.4f} (worst)"
     )
@@ -180,6 +193,7 @@ def convert(source: Path, target: Path, part: str | None) -> None:
       .csv, .npz   cells with error bars
     In only:
       .astm        ASTM E1392
+      .csv         the plane of incidence (Incident_angle, Measure_angle, wavelengths)
       .brdf, .anisotropicbsdf  SPEOS
       .bsdf        LightTools
       .xompt       OpenMATERIAL 3D

@@ -15,15 +15,14 @@ judged against a level corrected for the number of tests made (Sidak), so a corr
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
 from gonio.core.directions import direction
+from gonio.outcomes import FALSE_ALARM, Outcome, Report, chi_squared, close, finite, join, seed_from, sidak
 from gonio.quadrature import Quadrature
 
 Array = NDArray[np.float64]
@@ -31,56 +30,20 @@ Eval = Callable[[Array, Array], Array]
 Sample = Callable[[Array, Array], tuple[Array, Array]]
 Pdf = Callable[[Array, Array], Array]
 
-FALSE_ALARM = 1e-3
-"""Probability that a correct model fails one call of `validate`."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """One test of the kit.
-
-    Parameters
-    ----------
-    name : str
-        Which test, at which direction.
-    passed : bool
-    detail : str
-        The numbers compared, in words.
-    p_value : float, optional
-        Of a statistical test: `passed` is then decided by `validate` over all tests together.
-    """
-
-    name: str
-    passed: bool
-    detail: str
-    p_value: float | None = None
-
-
-@dataclass(frozen=True)
-class Report:
-    """Outcomes of all tests of one model."""
-
-    outcomes: tuple[Outcome, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether every test passed."""
-        return all(outcome.passed for outcome in self.outcomes)
-
-    def lines(self) -> list[str]:
-        """One line a test, failures first."""
-        ordered = sorted(self.outcomes, key=lambda outcome: outcome.passed)
-        return [f"{'ok  ' if o.passed else 'FAIL'} {o.name}: {o.detail}" for o in ordered]
-
-
-def seed_from(name: str) -> int:
-    """A random seed fixed by a test's name, so that nobody picks one that passes."""
-    return zlib.crc32(name.encode())
-
-
-def sidak(false_alarm: float, n_tests: int) -> float:
-    """Level of one test so that `n_tests` independent ones raise a false alarm with the given probability."""
-    return -np.expm1(np.log1p(-false_alarm) / max(1, n_tests))
+__all__ = [
+    "FALSE_ALARM",
+    "Outcome",
+    "Quadrature",
+    "Report",
+    "check_frame",
+    "check_furnace",
+    "check_reciprocity",
+    "check_sampling",
+    "check_weights",
+    "seed_from",
+    "sidak",
+    "validate",
+]
 
 
 def check_sampling(
@@ -117,13 +80,13 @@ def check_sampling(
     wo, density = sample(np.broadcast_to(wi, (n, 3)), rng.random((n, 3)))
     kept = density > 0
     outcomes = [
-        _finite(f"samples finite {at}", wo, density),
+        finite(f"samples finite {at}", wo, density),
         Outcome(
             f"samples above the horizon {at}",
             bool(np.all(wo[kept, 2] >= 0)),
             f"{np.count_nonzero(wo[kept, 2] < 0)} of {n} below",
         ),
-        _close(
+        close(
             f"pdf of sample and pdf() {at}", density[kept], pdf(np.broadcast_to(wi, wo[kept].shape), wo[kept])
         ),
     ]
@@ -139,11 +102,11 @@ def check_sampling(
     theta = np.arctan2(np.hypot(wo[kept, 0], wo[kept, 1]), wo[kept, 2])
     phi = np.arctan2(wo[kept, 1], wo[kept, 0]) % (2 * np.pi)
     counts = np.histogram2d(theta, phi, quadrature.bins, [[0, 0.5 * np.pi], [0, 2 * np.pi]])[0]
-    for label, join in (("fine", 1), ("coarse", 4)):
-        observed = np.append(_join(counts, join), n - np.count_nonzero(kept))
-        expected = np.append(_join(n * integrals, join), max(0.0, n * (1.0 - total)))
-        blur = np.append(_join(n * errors, join), n * errors.sum())
-        chi2, dof = _chi_squared(observed, expected, blur)
+    for label, side in (("fine", 1), ("coarse", 4)):
+        observed = np.append(join(counts, side), n - np.count_nonzero(kept))
+        expected = np.append(join(n * integrals, side), max(0.0, n * (1.0 - total)))
+        blur = np.append(join(n * errors, side), n * errors.sum())
+        chi2, dof = chi_squared(observed, expected, blur)
         p = float(stats.chi2.sf(chi2, dof)) if dof > 0 else 1.0
         outcomes.append(
             Outcome(f"chi^2 on {label} bins {at}", p > FALSE_ALARM, f"{chi2:.1f} for {dof}, p = {p:.3g}", p)
@@ -198,7 +161,7 @@ def check_weights(
     z = float(np.max(np.abs(estimate - albedo) / sigma))
     p = float(-np.expm1(len(albedo) * np.log1p(-2 * stats.norm.sf(z)))) if z > 0 else 1.0
     outcomes = [
-        _finite(f"weights finite {at}", weights),
+        finite(f"weights finite {at}", weights),
         Outcome(
             f"reflectance by samples {at}",
             p > FALSE_ALARM,
@@ -208,9 +171,7 @@ def check_weights(
     ]
     if exact and np.any(kept):
         mean = weights.mean(axis=1)
-        outcomes.append(
-            _close(f"weight of the channel mean constant {at}", mean[kept], np.median(mean[kept]))
-        )
+        outcomes.append(close(f"weight of the channel mean constant {at}", mean[kept], np.median(mean[kept])))
     if max_weight is not None:
         largest = float(weights.max())
         outcomes.append(
@@ -222,7 +183,7 @@ def check_weights(
 def check_reciprocity(eval: Eval, rng: np.random.Generator, n: int = 2000, rtol: float = 1e-6) -> Outcome:
     """f(wi, wo) = f(wo, wi) at random pairs of directions, relative to the larger of the two."""
     wi, wo = _hemisphere(rng, n), _hemisphere(rng, n)
-    return _close("reciprocity", eval(wi, wo), eval(wo, wi), rtol)
+    return close("reciprocity", eval(wi, wo), eval(wo, wi), rtol)
 
 
 def check_furnace(eval: Eval, theta_i: float, quadrature: Quadrature | None = None) -> Outcome:
@@ -268,8 +229,8 @@ def check_frame(
     for label, function in (("values", eval), ("densities", pdf)) if isotropic else ():
         there = function(wi, wo)
         outcomes += [
-            _close(f"{label} after a turn about the normal", function(wi @ turn.T, wo @ turn.T), there, rtol),
-            _close(f"{label} after a reflection", function(wi * mirror, wo * mirror), there, rtol),
+            close(f"{label} after a turn about the normal", function(wi @ turn.T, wo @ turn.T), there, rtol),
+            close(f"{label} after a reflection", function(wi * mirror, wo * mirror), there, rtol),
         ]
     return outcomes
 
@@ -332,42 +293,3 @@ def validate(
 def _hemisphere(rng: np.random.Generator, n: int) -> Array:
     """Directions uniform in solid angle on the upper hemisphere, shape (n, 3)."""
     return direction(np.arccos(rng.uniform(0.0, 1.0, n)), rng.uniform(0.0, 2.0 * np.pi, n))
-
-
-def _join(grid: Array, n: int) -> Array:
-    """Sums over n x n blocks, flattened."""
-    return grid.reshape(grid.shape[0] // n, n, grid.shape[1] // n, n).sum(axis=(1, 3)).ravel()
-
-
-def _chi_squared(observed: Array, expected: Array, blur: Array) -> tuple[float, int]:
-    """Pearson's chi^2 and its degrees of freedom; bins are pooled until 5 are expected in each.
-
-    `blur`, the error of the expectation, joins the variance: an unresolved peak must not fail a good sampler.
-    """
-    order = np.argsort(expected, kind="stable")
-    observed, expected, blur = observed[order], expected[order], blur[order]
-    pooled = max(1, int(np.searchsorted(np.cumsum(expected), 5.0)) + 1)
-    pooled = max(pooled, int(np.searchsorted(expected, 5.0)))
-    observed, expected, blur = (np.append(a[pooled:], a[:pooled].sum()) for a in (observed, expected, blur))
-    if expected[-1] < 1e-3:  # bins nobody may enter
-        if observed[-1] > 0:
-            return np.inf, max(1, len(expected) - 1)
-        observed, expected, blur = observed[:-1], expected[:-1], blur[:-1]
-    chi2 = float(np.sum((observed - expected) ** 2 / (expected + blur**2)))
-    return chi2, len(expected) - 1
-
-
-def _close(name: str, a: Array, b: Array | float, rtol: float = 1e-5) -> Outcome:
-    a, b = np.broadcast_arrays(np.asarray(a), np.asarray(b))
-    if a.size == 0:
-        return Outcome(name, True, "nothing to compare")
-    scale = np.maximum(
-        np.maximum(np.abs(a), np.abs(b)), 1e-6 * max(float(np.abs(a).max()), np.finfo(float).tiny)
-    )
-    worst = float(np.max(np.abs(a - b) / scale))
-    return Outcome(name, worst <= rtol, f"largest relative difference {worst:.2g}, allowed {rtol:.2g}")
-
-
-def _finite(name: str, *arrays: Array) -> Outcome:
-    bad = sum(int(np.count_nonzero(~np.isfinite(a))) for a in arrays)
-    return Outcome(name, bad == 0, f"{bad} NaN or infinite numbers")

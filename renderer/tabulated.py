@@ -12,8 +12,9 @@ import math
 
 from gonio.core.directions import cosine_hemisphere
 from gonio.core.jit import kernel
-from gonio.table.interpolation import albedo_table, eval_table, pdf_table, sample_table, specular_table
+from gonio.table.interpolation import eval_table, pdf_table, sample_table
 from gonio.table.pool import N_CHANNELS
+from gonio.table.row_quantities import albedo_table, specular_table
 
 _DEFENSIVE = 0.05
 

@@ -15,7 +15,8 @@ GATEWAYS = {
     "llvmlite": {"gonio/core/embree.py"},
     "nlopt": {"fitting/"},
     "OpenEXR": {"renderer/image.py"},
-    "h5py": {"gonio/formats/hdf5.py"},
+    "h5py": {"gonio/formats/hdf5"},  # hdf5.py and its helpers
+    "hdf5plugin": {"gonio/table/compress/codecs.py"},
 }
 
 

@@ -43,6 +43,7 @@ DIFFUSE = Lobe(
     parameters=(),
     terms=(Term("rd"),),
     source=_SOURCE + "5; rd stands for R_d (1 - R_s)",
+    diffuse=True,
 )
 
 
@@ -61,6 +62,15 @@ def terms(variant, p, wi, wo):
     value = 0.25 * _density(variant, p, wh) / (c * max(wi[2], wo[2]))
     s = schlick_weight(c)
     return value * (1.0 - s), value * s
+
+
+@kernel(allocates=False)
+def slopes(p, wi, wo, values, out):
+    """Derivatives by the exponent of the isotropic lobe; see `fitting.models.contract`."""
+    wh = half_vector(wi, wo)
+    sin2 = wh[0] * wh[0] + wh[1] * wh[1]
+    log = 1.0 / (p[SHAPE] + 1.0) + (0.5 * math.log1p(-sin2) if sin2 < 1.0 else 0.0)
+    out[0], out[1] = values[0] * log, values[1] * log
 
 
 @kernel(allocates=False)

@@ -12,6 +12,9 @@ to the detector, tuples of unit length), f_r in 1/sr without cosine:
 
 - ``terms(p, wi, wo) -> (t0, t1)``: the terms, t1 = 0 where there is one only. Only called with both
   directions strictly above the horizon.
+- ``slopes(p, wi, wo, values, out)``: derivatives of the terms by the shape parameters, for fits, where there
+  are any and the lobe is isotropic; `values` are the terms, and out[2 j + t] is of term t by parameter j.
+  Written by hand; a test holds them to differences of `terms`.
 - ``sample(p, wi, u0, u1) -> wo``: a direction drawn for light from `wi` (above the horizon). It may fall
   below the horizon, where the lobe is 0: such a sample is discarded.
 - ``pdf(p, wi, wo)``: the density of `sample`, 1/sr, for `wo` on the whole sphere, where it integrates to 1.
@@ -53,13 +56,18 @@ VARIANTS = 64
 
 @dataclass(frozen=True)
 class Parameter:
-    """One shape parameter: its range, what the search steps in, and what it means."""
+    """One shape parameter: its range, what the search steps in, and what it means.
+
+    An `optical` one, an index or a depth, does not make a lobe wider or narrower but changes it a little
+    everywhere; two of them may trade against each other, so the search starts from more places.
+    """
 
     name: str
     lower: float
     upper: float
     scale: Literal["linear", "log"]
     meaning: str
+    optical: bool = False
 
     def from_unit(self, u: float) -> float:
         """The value at `u` in [0, 1] of the range, linear or logarithmic."""
@@ -67,6 +75,12 @@ class Parameter:
         if self.scale == "log":
             return self.lower * (self.upper / self.lower) ** u
         return self.lower + u * (self.upper - self.lower)
+
+    def slope(self, u: float) -> float:
+        """Derivative of `from_unit`."""
+        if self.scale == "log":
+            return self.from_unit(u) * math.log(self.upper / self.lower)
+        return self.upper - self.lower
 
     def to_unit(self, value: float) -> float:
         """Inverse of `from_unit`."""
@@ -133,6 +147,8 @@ class Lobe:
     isotropic : bool
         Whether only the difference of the azimuths matters. An anisotropic lobe's x axis is the direction
         along the surface that its parameters name; a table of an isotropic surface cannot tell them.
+    diffuse : bool
+        Whether it is spread over all directions, so that a sum of several of them is of no use.
     transmits : bool
         Whether light goes through, with `wi` and `wo` on different sides.
     derive : callable, optional
@@ -146,6 +162,7 @@ class Lobe:
     source: str
     errata: str = ""
     isotropic: bool = True
+    diffuse: bool = False
     transmits: bool = False
     derive: Callable[..., NDArray[np.float64]] | None = None
 
@@ -166,6 +183,24 @@ class Lobe:
             derived = self.derive(*p[SHAPE : SHAPE + len(self.parameters)])
             p[DERIVED : DERIVED + len(derived)] = derived
         return p
+
+    def tangents(self, values: Sequence[float]) -> NDArray[np.float64]:
+        """Derivatives of what `pack` returns by the parameters, shape (parameters, SIZE).
+
+        What `derive` makes is smooth: central differences of it are good to 1e-7.
+        """
+        out = np.zeros((len(self.parameters), SIZE))
+        for j, (parameter, value) in enumerate(zip(self.parameters, values, strict=True)):
+            out[j, SHAPE + j] = 1.0
+            if self.derive is None:
+                continue
+            step = 1e-5 * (value if parameter.scale == "log" else parameter.upper - parameter.lower)
+            ends = [np.array(values), np.array(values)]
+            ends[0][j] = min(parameter.upper, value + step)
+            ends[1][j] = max(parameter.lower, value - step)
+            change = self.derive(*ends[0]) - self.derive(*ends[1])
+            out[j, DERIVED : DERIVED + len(change)] = change / (ends[0][j] - ends[1][j])
+        return out
 
 
 @dataclass(frozen=True)

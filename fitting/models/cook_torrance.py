@@ -19,13 +19,25 @@ from itertools import product
 
 from fitting.models import gtr as gtr_facets
 from fitting.models.contract import SHAPE, VARIANTS, Lobe, Parameter, Term
-from fitting.models.fresnel import ETA, METAL_ETA, METAL_K, conductor, dielectric, schlick_weight
+from fitting.models.fresnel import (
+    ETA,
+    METAL_ETA,
+    METAL_K,
+    conductor,
+    dielectric,
+    fresnel_slopes,
+    schlick_weight,
+)
 from fitting.models.gtr import gtr, sin2_normal
 from fitting.models.microfacet import (
     beckmann,
     beckmann_hidden,
+    beckmann_hidden_slope,
+    beckmann_slope,
     ggx,
     ggx_hidden,
+    ggx_hidden_slope,
+    ggx_slope,
     normal_of_tangent,
     reflect,
     visible_ggx,
@@ -40,7 +52,7 @@ _BECKMANN, _GGX, _GTR = range(3)
 _SMITH, _SEPARABLE, _V_CAVITY = range(3)
 _SCHLICK, _DIELECTRIC, _CONDUCTOR = range(3)
 
-_gtr_hidden = gtr_facets.hidden
+_gtr_hidden, _gtr_hidden_slope, gtr_slope = gtr_facets.hidden, gtr_facets.hidden_slope, gtr_facets.log_slopes
 
 _DISTRIBUTIONS: tuple[tuple[str, tuple[Parameter, ...], str], ...] = (
     (
@@ -149,6 +161,55 @@ def terms(variant, p, wi, wo):
     if f == _DIELECTRIC:
         return value * dielectric(c, p[at]), 0.0
     return value * conductor(c, p[at], p[at + 1]), 0.0
+
+
+@kernel(allocates=False)
+def slopes(variant, p, tangents, wi, wo, values, out):
+    """Derivatives by the shape parameters, of which D and G know the first ones and F the others.
+
+    `tangents`, shape (parameters, SIZE), are derivatives of `p`; see `fitting.models.contract`.
+    """
+    d, g, f = variant % 3, variant // 3 % 3, variant // 9
+    wh = half_vector(wi, wo)
+    facets = 2 if d == _GTR else 1
+    for j in range(facets):
+        if d == _GGX:
+            log = ggx_slope(p[SHAPE], wh)
+        elif d == _BECKMANN:
+            log = beckmann_slope(p[SHAPE], wh)
+        else:
+            log = gtr_slope(p, tangents, wh, j)
+        if g != _V_CAVITY:
+            hidden_i, slope_i = _hidden_slope(d, p, tangents, wi, j)
+            hidden_o, slope_o = _hidden_slope(d, p, tangents, wo, j)
+            if g == _SMITH:
+                seen = wi[2] * wo[2] + wo[2] * hidden_i + wi[2] * hidden_o
+                log -= (wo[2] * slope_i + wi[2] * slope_o) / seen
+            else:
+                log -= slope_i / (wi[2] + hidden_i) + slope_o / (wo[2] + hidden_o)
+        out[2 * j], out[2 * j + 1] = values[0] * log, values[1] * log
+    if f == _SCHLICK:
+        return
+    c = dot(wi, wh)
+    at = SHAPE + facets
+    if f == _DIELECTRIC:
+        reflected, k = dielectric(c, p[at]), 0.0
+    else:
+        reflected, k = conductor(c, p[at], p[at + 1]), p[at + 1]
+    by_eta, by_k = fresnel_slopes(c, p[at], k)
+    out[2 * facets], out[2 * facets + 1] = values[0] / reflected * by_eta, 0.0
+    if f == _CONDUCTOR:
+        out[2 * facets + 2], out[2 * facets + 3] = values[0] / reflected * by_k, 0.0
+
+
+@kernel(allocates=False)
+def _hidden_slope(d, p, tangents, w, j):
+    """`_hidden` and its derivative by parameter j of the facets."""
+    if d == _GGX:
+        return ggx_hidden_slope(p[SHAPE], w[2])
+    if d == _BECKMANN:
+        return beckmann_hidden_slope(p[SHAPE], w)
+    return _gtr_hidden_slope(p, tangents, w[2], j)
 
 
 @kernel(allocates=False)

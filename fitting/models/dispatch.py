@@ -26,7 +26,10 @@ from gonio.core.jit import kernel
 _VARIANTS = VARIANTS
 _LAMBERT, _lambert_terms = lambert.FAMILY, lambert.terms
 _cosine_sample, _cosine_pdf = lambert.sample, lambert.pdf
-_OREN_NAYAR, _oren_nayar_terms = oren_nayar.FAMILY, oren_nayar.terms
+_OREN_NAYAR, _oren_nayar_terms, _oren_nayar_slopes = oren_nayar.FAMILY, oren_nayar.terms, oren_nayar.slopes
+_eon_slopes, _ct_slopes, _as_slopes = eon.slopes, cook_torrance.slopes, ashikhmin_shirley.slopes
+_ward_slopes, _schlick_slopes, _phong_slopes = ward.slopes, schlick.slopes, modified_phong.slopes
+_walter_slopes, _hk_slopes = walter.slopes, hanrahan_krueger.slopes
 _EON, _eon_terms, _eon_sample, _eon_pdf = eon.FAMILY, eon.terms, eon.sample, eon.pdf
 _COOK_TORRANCE, _ct_terms = cook_torrance.FAMILY, cook_torrance.terms
 _ct_sample, _ct_pdf = cook_torrance.sample, cook_torrance.pdf
@@ -85,6 +88,42 @@ def lobe_terms(kind, p, wi, wo):
     if family == _HANRAHAN_KRUEGER:
         return _hk_terms(p, wi, wo)
     return 0.0, 0.0
+
+
+@kernel(allocates=False)
+def lobe_slopes(kind, p, tangents, wi, wo, values, out):
+    """Derivatives of the two terms of an isotropic lobe by its shape parameters, both directions above.
+
+    Parameters
+    ----------
+    kind, p, wi, wo
+        As `lobe_terms`.
+    tangents : ndarray, shape (parameters, SIZE)
+        `Lobe.tangents`.
+    values : tuple of 2 float
+        What `lobe_terms` returns.
+    out : ndarray, shape (2 x parameters,) at least
+        Number 2 j + t is set to the derivative of term t by parameter j.
+    """
+    family, variant = kind // _VARIANTS, kind % _VARIANTS
+    if family == _COOK_TORRANCE:
+        _ct_slopes(variant, p, tangents, wi, wo, values, out)
+    elif family == _OREN_NAYAR:
+        _oren_nayar_slopes(variant, p, wi, wo, values, out)
+    elif family == _EON:
+        _eon_slopes(p, wi, wo, out)
+    elif family == _ASHIKHMIN_SHIRLEY:
+        _as_slopes(p, wi, wo, values, out)
+    elif family == _WARD:
+        _ward_slopes(p, wi, wo, values, out)
+    elif family == _SCHLICK:
+        _schlick_slopes(p, wi, wo, out)
+    elif family == _PHONG:
+        _phong_slopes(p, wi, wo, values, out)
+    elif family == _WALTER:
+        _walter_slopes(variant, p, wi, wo, values, out)
+    elif family == _HANRAHAN_KRUEGER:
+        _hk_slopes(p, wi, wo, values, out)
 
 
 @kernel(allocates=False)

@@ -36,6 +36,7 @@ LOBE = Lobe(
         "arXiv 2410.18026, 2024, listing 1"
     ),
     errata="The exact directional albedo is used, not the paper's fit to it.",
+    diffuse=True,
 )
 
 
@@ -51,6 +52,21 @@ def terms(p, wi, wo):
     # (1 - E_i)(1 - E_o)/(1 - <E>)
     lacking = scale * r * _lacking(wi[2]) * _lacking(wo[2]) / (_C1 - _C2)
     return scale * (1.0 + r * s) * _INV_PI, average * lacking * _INV_PI
+
+
+@kernel(allocates=False)
+def slopes(p, wi, wo, out):
+    """Derivatives by the roughness; see `fitting.models.contract`."""
+    r = p[SHAPE]
+    scale = 1.0 / (1.0 + _C1 * r)
+    s = dot(wi, wo) - wi[2] * wo[2]
+    if s > 0.0:
+        s /= max(wi[2], wo[2])
+    # d scale/dr = -C1 scale^2; f_ms = scale^2 (r + C2 r^2) x lacking
+    out[0] = scale * (s - _C1 * scale * (1.0 + r * s)) * _INV_PI
+    lacking = _lacking(wi[2]) * _lacking(wo[2]) / (_C1 - _C2)
+    growth = 1.0 + 2.0 * _C2 * r - 2.0 * _C1 * scale * r * (1.0 + _C2 * r)
+    out[1] = scale * scale * growth * lacking * _INV_PI
 
 
 @kernel(allocates=False)

@@ -66,6 +66,39 @@ def hidden(p, cos_theta):
     return math.exp(p[_SERIES] + x * b1 - b2) * (1.0 - cos_theta * cos_theta)
 
 
+@kernel(allocates=False)
+def log_slopes(p, tangents, wm, j):
+    """D log D by parameter j (alpha, gamma)."""
+    base = p[SHAPE] * p[SHAPE] * wm[2] * wm[2] + wm[0] * wm[0] + wm[1] * wm[1]
+    norm = tangents[j, DERIVED] / p[DERIVED]
+    if j == 0:
+        return norm - 2.0 * p[SHAPE + 1] * p[SHAPE] * wm[2] * wm[2] / base
+    return norm - math.log(base)
+
+
+@kernel(allocates=False)
+def hidden_slope(p, tangents, cos_theta, j):
+    """`hidden` and its derivative by parameter j: of the coefficients, and of where the series is read."""
+    if cos_theta >= 1.0:
+        return 0.0, 0.0
+    ratio = cos_theta / p[SHAPE]
+    place = math.asinh(ratio)
+    x = place * p[DERIVED + 1] - 1.0
+    moved = place * tangents[j, DERIVED + 1]
+    if j == 0:
+        moved -= ratio / p[SHAPE] / math.sqrt(1.0 + ratio * ratio) * p[DERIVED + 1]
+    # T_n and U_n-1 by their recurrences; dT_n/dx = n U_n-1
+    t0, t1, u0, u1 = 1.0, x, 0.0, 1.0
+    series, change = p[_SERIES], tangents[j, _SERIES]
+    for n in range(1, SIZE - _SERIES):
+        series += p[_SERIES + n] * t1
+        change += tangents[j, _SERIES + n] * t1 + p[_SERIES + n] * n * u1 * moved
+        t0, t1 = t1, 2.0 * x * t1 - t0
+        u0, u1 = u1, 2.0 * x * u1 - u0
+    value = math.exp(series) * (1.0 - cos_theta * cos_theta)
+    return value, value * change
+
+
 def derive(alpha: float, gamma: float, *_fresnel: float) -> np.ndarray:
     """What the kernels need of a shape: see the top of this module."""
     return np.concatenate([[_norm(alpha, gamma), 2.0 / math.asinh(1.0 / alpha)], _series(alpha, gamma)])

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 from fitting.models.contract import SHAPE, VARIANTS, Lobe, Parameter, Term
-from fitting.models.fresnel import dielectric
+from fitting.models.fresnel import dielectric, fresnel_slopes
 from gonio.core.jit import kernel
 from gonio.core.phase import hg
 
@@ -22,9 +22,9 @@ LOBE = Lobe(
     name="hanrahan_krueger",
     kind=VARIANTS * FAMILY,
     parameters=(
-        Parameter("tau", 1e-3, 100.0, "log", "optical depth of the layer; 10 is as good as infinite"),
-        Parameter("g", -0.95, 0.95, "linear", "mean cosine of scattering; above 0 is forward"),
-        Parameter("eta", 1.0, 2.5, "linear", "index of the layer relative to that above; 1 is matched"),
+        Parameter("tau", 1e-3, 100.0, "log", "optical depth of the layer; 10 is as good as infinite", True),
+        Parameter("g", -0.95, 0.95, "linear", "mean cosine of scattering; above 0 is forward", True),
+        Parameter("eta", 1.0, 2.5, "linear", "index of the layer relative to that above; 1 is matched", True),
     ),
     terms=(Term("albedo"), Term("base")),
     source=(
@@ -35,6 +35,7 @@ LOBE = Lobe(
         "The paper's T12 and T21 hold n^2 and 1/n^2, which cancel only before the incident radiance is "
         "written as irradiance: a BRDF keeps 1/n^2. Light reflected inside at the interface is not followed."
     ),
+    diffuse=True,
 )
 
 
@@ -49,6 +50,33 @@ def terms(p, wi, wo):
     depth = tau * (1.0 / mu_i + 1.0 / mu_o)
     scattered = -math.expm1(-depth) * hg(g, cosine) / (mu_i + mu_o)
     return through * scattered, through * math.exp(-depth) / math.pi
+
+
+@kernel(allocates=False)
+def slopes(p, wi, wo, values, out):
+    """Derivatives by tau, g and eta; see `fitting.models.contract`."""
+    tau, g, eta = p[SHAPE], p[SHAPE + 1], p[SHAPE + 2]
+    mu_i, mu_o = _inside(wi[2], eta), _inside(wo[2], eta)
+    eta2 = eta * eta
+    plane = wi[0] * wo[0] + wi[1] * wo[1]
+    cosine = -plane / eta2 - mu_i * mu_o
+    path = 1.0 / mu_i + 1.0 / mu_o
+    # of 1 - exp(-depth), relative; and depth/(exp(depth) - 1) is 1 at depth 0
+    grown = 1.0 / math.expm1(tau * path) if tau * path < 700.0 else 0.0
+    out[0], out[1] = values[0] * path * grown, -values[1] * path
+    # d log hg/dg and d log hg/d cosine
+    base = 1.0 + g * g - 2.0 * g * cosine
+    out[2], out[3] = values[0] * (-2.0 * g / (1.0 - g * g) - 3.0 * (g - cosine) / base), 0.0
+    d_i = (1.0 - mu_i * mu_i) / (eta * mu_i)
+    d_o = (1.0 - mu_o * mu_o) / (eta * mu_o)
+    through = -2.0 / eta
+    for cos in (wi[2], wo[2]):
+        by_eta, _ = fresnel_slopes(cos, eta, 0.0)
+        through -= by_eta / (1.0 - dielectric(cos, eta))
+    turned = 2.0 * plane / (eta2 * eta) - d_i * mu_o - mu_i * d_o
+    shorter = -tau * (d_i / (mu_i * mu_i) + d_o / (mu_o * mu_o))
+    log = through + shorter * grown + 3.0 * g / base * turned - (d_i + d_o) / (mu_i + mu_o)
+    out[4], out[5] = values[0] * log, values[1] * (through - shorter)
 
 
 @kernel(allocates=False)

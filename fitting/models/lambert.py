@@ -17,6 +17,7 @@ LOBE = Lobe(
     parameters=(),
     terms=(Term("albedo"),),
     source="J. H. Lambert, Photometria, 1760",
+    diffuse=True,
 )
 
 

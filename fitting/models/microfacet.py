@@ -57,6 +57,41 @@ def ggx_hidden(alpha, cos_theta):
 
 
 @kernel(allocates=False)
+def beckmann_slope(alpha, wm):
+    """D log D/d alpha of `beckmann`."""
+    tan2 = (wm[0] * wm[0] + wm[1] * wm[1]) / (wm[2] * wm[2])
+    return 2.0 * (tan2 / (alpha * alpha) - 1.0) / alpha
+
+
+@kernel(allocates=False)
+def ggx_slope(alpha, wm):
+    """D log D/d alpha of `ggx`."""
+    cos2 = alpha * alpha * wm[2] * wm[2]
+    sin2 = wm[0] * wm[0] + wm[1] * wm[1]
+    return 2.0 * (sin2 - cos2) / ((sin2 + cos2) * alpha)
+
+
+@kernel(allocates=False)
+def beckmann_hidden_slope(alpha, w):
+    """`beckmann_hidden` and its derivative by alpha: exp(-a^2) sin / (2 sqrt(pi)), as d erfc cancels."""
+    sine = math.sqrt(w[0] * w[0] + w[1] * w[1])
+    width = alpha * sine
+    if w[2] > 6.0 * width:
+        return 0.0, 0.0
+    a = w[2] / width
+    gauss = 0.5 * math.exp(-a * a) / _SQRT_PI
+    return width * gauss - 0.5 * w[2] * math.erfc(a), sine * gauss
+
+
+@kernel(allocates=False)
+def ggx_hidden_slope(alpha, cos_theta):
+    """`ggx_hidden` and its derivative by alpha."""
+    sin2 = 1.0 - cos_theta * cos_theta
+    stretched = math.sqrt(cos_theta * cos_theta + alpha * alpha * sin2)
+    return 0.5 * (stretched - cos_theta), 0.5 * alpha * sin2 / stretched
+
+
+@kernel(allocates=False)
 def reflect(w, wm):
     """Mirror direction of `w` at a facet of normal `wm`."""
     d = 2.0 * dot(w, wm)

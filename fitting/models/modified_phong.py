@@ -29,6 +29,15 @@ def terms(p, wi, wo):
 
 
 @kernel(allocates=False)
+def slopes(p, wi, wo, values, out):
+    """Derivative by the exponent; see `fitting.models.contract`."""
+    half_chord2 = _half_chord2(wi, wo)
+    out[0], out[1] = 0.0, 0.0
+    if half_chord2 < 1.0:
+        out[0] = values[0] * (1.0 / (p[SHAPE] + 2.0) + math.log1p(-half_chord2))
+
+
+@kernel(allocates=False)
 def sample(p, wi, u0, u1):
     """A direction about the mirror direction, of density (n + 1)/(2 pi) cos^n; may fall below the horizon."""
     mirror = (-wi[0], -wi[1], wi[2])
@@ -49,8 +58,13 @@ def pdf(p, wi, wo):
 @kernel(allocates=False)
 def _power(n, wi, wo):
     """cos^n, from the chord: at n = 1e6 a rounded cosine would cost ten digits."""
-    x, y, z = wo[0] + wi[0], wo[1] + wi[1], wo[2] - wi[2]
-    half_chord2 = 0.5 * (x * x + y * y + z * z)
+    half_chord2 = _half_chord2(wi, wo)
     if half_chord2 >= 1.0:
         return 0.0
     return math.exp(n * math.log1p(-half_chord2))
+
+
+@kernel(allocates=False)
+def _half_chord2(wi, wo):
+    x, y, z = wo[0] + wi[0], wo[1] + wi[1], wo[2] - wi[2]
+    return 0.5 * (x * x + y * y + z * z)

@@ -33,6 +33,7 @@ FULL = Lobe(
         "directions graze on opposite sides of a rough surface (sigma = 1, 80 degrees): cut off at 0. "
         "The fitted constants create energy near grazing above rho = 0.97."
     ),
+    diffuse=True,
 )
 QUALITATIVE = Lobe(
     name="oren_nayar_qualitative",
@@ -45,6 +46,7 @@ QUALITATIVE = Lobe(
         "normal incidence. At sigma = 0.2 it creates 1.5 % at grazing. The paper's footnote replaces 0.33 by "
         "0.57 to make up for some of the loss; 0.33 is used."
     ),
+    diffuse=True,
 )
 
 
@@ -52,21 +54,37 @@ QUALITATIVE = Lobe(
 def terms(variant, p, wi, wo):
     """L1 and L2 of the full model, the qualitative one as a single term, in 1/sr."""
     s2 = p[SHAPE] * p[SHAPE]
+    c23, bounced = _angles(variant, wi, wo)
+    direct = 1.0 - 0.5 * s2 / (s2 + 0.33) + s2 / (s2 + 0.09) * c23
+    return max(0.0, direct) * _INV_PI, s2 / (s2 + 0.13) * bounced * _INV_PI
+
+
+@kernel(allocates=False)
+def slopes(variant, p, wi, wo, values, out):
+    """Derivatives by sigma; see `fitting.models.contract`."""
+    s2 = p[SHAPE] * p[SHAPE]
+    c23, bounced = _angles(variant, wi, wo)
+    # d/d(s2) of s2/(s2 + k) is k/(s2 + k)^2
+    direct = -0.165 / ((s2 + 0.33) * (s2 + 0.33)) + 0.09 / ((s2 + 0.09) * (s2 + 0.09)) * c23
+    out[0] = 2.0 * p[SHAPE] * direct * _INV_PI if values[0] > 0.0 else 0.0
+    out[1] = 2.0 * p[SHAPE] * 0.13 / ((s2 + 0.13) * (s2 + 0.13)) * bounced * _INV_PI
+
+
+@kernel(allocates=False)
+def _angles(variant, wi, wo):
+    """What C2 and C3 (eq. 25), and the interreflection (eq. 28), hold of the angles."""
     cos_phi = cos_delta_phi(wi, wo)
-    direct = 1.0 - 0.5 * s2 / (s2 + 0.33)
-    rough = s2 / (s2 + 0.09)
     if variant == _QUALITATIVE:
-        if cos_phi > 0.0:
-            # sin(larger angle) tan(smaller angle)
-            sines = math.sqrt((1.0 - min(1.0, wi[2] * wi[2])) * (1.0 - min(1.0, wo[2] * wo[2])))
-            direct += 0.45 * rough * cos_phi * sines / max(wi[2], wo[2])
-        return direct * _INV_PI, 0.0
+        if cos_phi <= 0.0:
+            return 0.0, 0.0
+        # sin(larger angle) tan(smaller angle)
+        sines = math.sqrt((1.0 - min(1.0, wi[2] * wi[2])) * (1.0 - min(1.0, wo[2] * wo[2])))
+        return 0.45 * cos_phi * sines / max(wi[2], wo[2]), 0.0
     # the paper's alpha and beta: the larger and the smaller polar angle
     large = math.acos(min(1.0, min(wi[2], wo[2])))
     small = math.acos(min(1.0, max(wi[2], wo[2])))
     ratio = 2.0 * small * _INV_PI
-    c2 = 0.45 * rough * (math.sin(large) if cos_phi >= 0.0 else math.sin(large) - ratio * ratio * ratio)
-    c3 = 0.125 * rough * (2.0 * large * _INV_PI * ratio) ** 2
-    direct += cos_phi * c2 * math.tan(small) + (1.0 - abs(cos_phi)) * c3 * math.tan(0.5 * (large + small))
-    interreflection = 0.17 * s2 / (s2 + 0.13) * (1.0 - cos_phi * ratio * ratio)
-    return max(0.0, direct) * _INV_PI, interreflection * _INV_PI
+    c2 = 0.45 * (math.sin(large) if cos_phi >= 0.0 else math.sin(large) - ratio * ratio * ratio)
+    c3 = 0.125 * (2.0 * large * _INV_PI * ratio) ** 2
+    direct = cos_phi * c2 * math.tan(small) + (1.0 - abs(cos_phi)) * c3 * math.tan(0.5 * (large + small))
+    return direct, 0.17 * (1.0 - cos_phi * ratio * ratio)

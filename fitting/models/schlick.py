@@ -66,6 +66,21 @@ def terms(variant, p, wi, wo):
 
 
 @kernel(allocates=False)
+def slopes(p, wi, wo, out):
+    """Derivatives by the roughness of the isotropic lobe; see `fitting.models.contract`."""
+    wh = half_vector(wi, wo)
+    r = p[SHAPE]
+    i, o = 1.0 / (r - r * wi[2] + wi[2]), 1.0 / (r - r * wo[2] + wo[2])
+    seen = -i * o * ((1.0 - wi[2]) * i + (1.0 - wo[2]) * o)  # d(i o)/dr
+    cos2 = wh[2] * wh[2]
+    base = wh[0] * wh[0] + wh[1] * wh[1] + r * cos2
+    zenith = (base - 2.0 * r * cos2) / (base * base * base)
+    value = (0.25 * (seen * _zenith(r, wh) + i * o * zenith) - wi[2] * wo[2] * seen) / math.pi
+    s = schlick_weight(dot(wi, wh))
+    out[0], out[1] = value * (1.0 - s), value * s
+
+
+@kernel(allocates=False)
 def sample(variant, p, wi, u0, u1):
     """Half of the draws reflect off a half vector of density Z A^2/pi cos, half are cosine-distributed."""
     phi = 2.0 * math.pi * u1

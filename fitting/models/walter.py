@@ -9,12 +9,16 @@ from __future__ import annotations
 import math
 
 from fitting.models.contract import SHAPE, VARIANTS, Lobe, Parameter, Term
-from fitting.models.fresnel import ETA, dielectric
+from fitting.models.fresnel import ETA, dielectric, fresnel_slopes
 from fitting.models.microfacet import (
     beckmann,
     beckmann_hidden,
+    beckmann_hidden_slope,
+    beckmann_slope,
     ggx,
     ggx_hidden,
+    ggx_hidden_slope,
+    ggx_slope,
     reflect,
     visible_ggx,
     visible_ggx_pdf,
@@ -61,6 +65,25 @@ def terms(variant, p, wi, wo):
     value = (1.0 - dielectric(cos_i, eta)) * _density(variant, p, wm) * cos_i * -cos_o
     jacobian = (cos_i + eta * cos_o) / eta
     return 0.0, value / (jacobian * jacobian) * _masking(variant, p, wi, (wo[0], wo[1], -wo[2]))
+
+
+@kernel(allocates=False)
+def slopes(variant, p, wi, wo, values, out):
+    """Derivatives by alpha and eta of the reflected term of light from above; see `fitting.models.contract`."""
+    wh = half_vector(wi, wo)
+    c = dot(wi, wh)
+    if variant == _GGX:
+        log = ggx_slope(p[SHAPE], wh)
+        hidden_i, slope_i = ggx_hidden_slope(p[SHAPE], wi[2])
+        hidden_o, slope_o = ggx_hidden_slope(p[SHAPE], wo[2])
+    else:
+        log = beckmann_slope(p[SHAPE], wh)
+        hidden_i, slope_i = beckmann_hidden_slope(p[SHAPE], wi)
+        hidden_o, slope_o = beckmann_hidden_slope(p[SHAPE], wo)
+    log -= slope_i / (wi[2] + hidden_i) + slope_o / (wo[2] + hidden_o)
+    by_eta, _ = fresnel_slopes(c, p[SHAPE + 1], 0.0)
+    out[0], out[1] = values[0] * log, 0.0
+    out[2], out[3] = values[0] / dielectric(c, p[SHAPE + 1]) * by_eta, 0.0
 
 
 @kernel(allocates=False)

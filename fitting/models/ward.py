@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from fitting.models.contract import SHAPE, VARIANTS, Lobe, Parameter, Term
-from fitting.models.microfacet import normal_of_tangent, reflect
+from fitting.models.microfacet import beckmann_slope, normal_of_tangent, reflect
 from gonio.core.directions import dot, half_vector
 from gonio.core.jit import kernel
 
@@ -78,6 +78,13 @@ def terms(variant, p, wi, wo):
         return 0.25 * value / (wi[2] * wo[2]), 0.0
     c = dot(wi, wh) * wh[2] * wh[2]
     return 0.25 * value / (c * c), 0.0
+
+
+@kernel(allocates=False)
+def slopes(p, wi, wo, values, out):
+    """Derivative by alpha of the isotropic lobes; see `fitting.models.contract`."""
+    out[0] = values[0] * beckmann_slope(p[SHAPE], half_vector(wi, wo))
+    out[1] = 0.0
 
 
 @kernel(allocates=False)

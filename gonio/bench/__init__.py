@@ -12,6 +12,8 @@ BENCHMARKS = {
     "trace": "gonio.bench.trace",
     "materials": "gonio.bench.materials",
     "workers": "gonio.bench.workers",
+    "compress": "gonio.bench.compress",
+    "sample": "gonio.bench.sample",
 }
 """Name to module; a module has ``run(say) -> dict``."""
 

@@ -121,3 +121,31 @@ def projected_solid_angles(theta_edges: ArrayLike, delta_phi_edges: ArrayLike) -
     # sin^2 b - sin^2 a = sin(b + a) sin(b - a), without cancellation at the horizon
     rings = np.sin(theta_edges[1:] + theta_edges[:-1]) * np.sin(np.diff(theta_edges))
     return np.outer(rings, np.diff(np.asarray(delta_phi_edges, float)))
+
+
+def half_difference(
+    theta_i: ArrayLike, theta_r: ArrayLike, delta_phi: ArrayLike
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Half and difference angles (Rusinkiewicz 1998), for light at azimuth 0 and detector at `delta_phi`.
+
+    Returns
+    -------
+    theta_h, theta_d, phi_d : ndarray
+        Radians, of the arguments' broadcast shape; phi_d in [-pi, 0] for delta_phi in [0, pi], and of the
+        opposite sign for -delta_phi.
+    """
+    sin_i, cos_i = np.sin(theta_i), np.cos(theta_i)
+    sin_r = np.sin(theta_r)
+    x = sin_i + sin_r * np.cos(delta_phi)
+    y = sin_r * np.sin(delta_phi)
+    z = cos_i + np.cos(theta_r)
+    across = np.hypot(x, y)
+    length = np.hypot(across, z)
+    theta_h = np.arctan2(across, z)
+    theta_d = np.arccos(np.clip(0.5 * length, 0.0, 1.0))
+    # diff = R_y(-theta_h) R_z(-phi_h) wi; on the normal phi_h is that of +x
+    on_axis = across == 0
+    cos_phi_h = np.where(on_axis, 1.0, x) / np.where(on_axis, 1.0, across)
+    sin_phi_h = np.where(on_axis, 0.0, y) / np.where(on_axis, 1.0, across)
+    phi_d = np.arctan2(-sin_i * sin_phi_h, (sin_i * cos_phi_h * z - cos_i * across) / length)
+    return theta_h, theta_d, phi_d

@@ -27,7 +27,7 @@ FORMATS: dict[str, tuple[str, ...]] = {
     ".binary": ("merl",),
     ".bsdf": ("rgl", "zemax", "lighttools"),
     ".xml": ("radiance_xml",),
-    ".csv": ("csv",),
+    ".csv": ("csv", "plane_csv"),
     ".npz": ("npz",),
     ".brdf": ("speos",),
     ".anisotropicbsdf": ("speos",),
@@ -182,6 +182,8 @@ def _by_content(path: Path, names: tuple[str, ...]) -> str:
         return names[0]
     with open(path, "rb") as file:
         start = file.read(1 << 16)
+    if "csv" in names:
+        return "plane_csv" if start.lstrip().lower().startswith(b"incident_angle") else "csv"
     if start.startswith(b"tensor_file\0"):
         return "rgl"
     # comments may stand in front; LightTools alone has an angle of incidence in each block

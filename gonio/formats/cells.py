@@ -112,7 +112,7 @@ def midpoints(edges: Array, points: int) -> Array:
     return edges[:-1, None] + inside * np.diff(edges)[:, None]
 
 
-def cells_around(nodes: Array, last: float) -> tuple[Array, NDArray[np.int64]]:
+def cells_around(nodes: Array, last: float, reach: float | None = None) -> tuple[Array, NDArray[np.int64]]:
     """Cells that hold one node each, with edges midway between the nodes, from 0 to `last`.
 
     Where nodes are far apart a cell ends 10 degrees from its node, or at half of the closest spacing, up to
@@ -124,6 +124,8 @@ def cells_around(nodes: Array, last: float) -> tuple[Array, NDArray[np.int64]]:
         Radians, increasing within [0, last].
     last : float
         pi/2 or pi.
+    reach : float, optional
+        In place of the 10 to 22.5 degrees.
 
     Returns
     -------
@@ -131,9 +133,10 @@ def cells_around(nodes: Array, last: float) -> tuple[Array, NDArray[np.int64]]:
     source : ndarray of int, shape (M,)
         Which node stands for the cell, -1 for none.
     """
-    reach = _REACH
-    if len(nodes) > 1:
-        reach = max(reach, min(_FAR, 0.5 * float(np.diff(nodes).min())))
+    if reach is None:
+        reach = _REACH
+        if len(nodes) > 1:
+            reach = max(reach, min(_FAR, 0.5 * float(np.diff(nodes).min())))
     ends = np.concatenate([[0.0], 0.5 * (nodes[1:] + nodes[:-1]), [last]])
     # a tenth more is rounding of the nodes, and no space of its own
     low = np.where(nodes - ends[:-1] > 1.1 * reach, nodes - reach, ends[:-1])

@@ -16,7 +16,7 @@ Version 1.1 added parts.
 from __future__ import annotations
 
 import json
-import mmap
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,6 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.files import atomic
+from gonio.formats.hdf5_content import write_content
+from gonio.formats.hdf5_heaps import check_heaps
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -62,7 +64,7 @@ _DATA: dict[str, tuple[tuple[str, ...], str]] = {
 _OPTIONAL = {"theta_i_edges", "std_error", "hits", "gaps", "wavelengths_nm"}
 # Deflate cannot shrink more than this; a dataset that claims more is damaged or hostile.
 _MAX_RATIO = 1100
-_HEAP = b"GCOL\x01\0\0\0"
+_LARGEST = 2**30  # bytes of an array from a codec that can shrink without limit
 _MAX_DEPTH = 8  # of parts in parts: in a damaged file a group may hold itself
 
 
@@ -111,7 +113,7 @@ def read(path: Path) -> Table:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    _check_heaps(path)
+    check_heaps(path)
     try:
         with h5py.File(path, "r") as file:
             _check_format(file, path)
@@ -135,31 +137,6 @@ def read(path: Path) -> Table:
 Compressed = Mapping[str, Mapping[str, Any]]
 
 
-def _check_heaps(path: Path) -> None:
-    """Refuse a damaged heap of texts in which the HDF5 library (2.0) would turn in circles for ever.
-
-    A collection is "GCOL", version, size and objects: index, references, size, content. An object of index
-    0 is free space, whose size includes its own header; with a smaller one the library never moves on.
-    """
-    if path.stat().st_size == 0:
-        return
-    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        start = data.find(_HEAP)
-        while start >= 0:
-            at = start + 16
-            end = start + int.from_bytes(data[start + 8 : at], "little")
-            while at + 16 <= min(end, len(data)):
-                size = int.from_bytes(data[at + 8 : at + 16], "little")
-                free = data[at : at + 2] == b"\0\0"
-                if free and size < 16:
-                    raise InputError(
-                        f"{path}: damaged HDF5 file (a heap object of {size} bytes at byte {at}); copy or trace "
-                        "it again"
-                    )
-                at += size if free else 16 + (size + 7) // 8 * 8
-            start = data.find(_HEAP, start + 1)
-
-
 def _write(group: h5py.Group, table: Table, compressed: Compressed | None, path: str = "") -> None:
     """Write a table and its parts into the file, or a part into its group."""
     content = None if compressed is None else compressed[path]
@@ -174,12 +151,7 @@ def _write(group: h5py.Group, table: Table, compressed: Compressed | None, path:
             continue
         _write_data(group, name, np.asarray(data), axes, unit)
     if content is not None:
-        inner = group.create_group("compressed")
-        for name, item in content.items():
-            if isinstance(item, np.ndarray):
-                inner[name] = item
-            else:
-                inner.attrs[name] = item
+        write_content(group.create_group("compressed"), content)
     if table.parts:
         parts = group.create_group("parts", track_order=True)
         for name, part in table.parts.items():
@@ -254,8 +226,11 @@ def _read(group: h5py.Group, path: Path, where: str = "") -> Table:
 
         inner = _child(group, "compressed", path, where)
         content = dict(inner.attrs)
+        # an array that a codec packs to nothing may still be as large as the table that its axes span
+        room = 4 * math.prod(len(fields[name]) for name in ("theta_i", "theta_r_edges", "delta_phi_edges"))
+        room = min(room * len(fields["channels"]), _LARGEST)
         for name, item in inner.items():
-            content[name] = _read_array(item, f"{where}compressed/{name}", path, "fiu")
+            content[name] = _read_array(item, f"{where}compressed/{name}", path, "fiu", room)
         with _at(where):
             fields["values"] = decode(content, fields)
     if (wavelengths := fields.get("wavelengths_nm")) is not None:
@@ -288,12 +263,12 @@ def _child(group: h5py.Group, name: str, path: Path, where: str) -> h5py.Group:
     return child
 
 
-def _read_array(dataset: Any, name: str, path: Path, kinds: str) -> NDArray:
+def _read_array(dataset: Any, name: str, path: Path, kinds: str, room: int = 0) -> NDArray:
     if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in kinds:
         found = dataset.dtype if isinstance(dataset, h5py.Dataset) else "a group"
         want = "integers" if "f" not in kinds else "numbers"
         raise InputError(f"{path}: dataset {name} holds {found}; {want} are expected")
-    if dataset.nbytes > _MAX_RATIO * path.stat().st_size:
+    if dataset.nbytes > max(_MAX_RATIO * path.stat().st_size, room):
         raise InputError(
             f"{path}: dataset {name} claims shape {dataset.shape}, more than a file of "
             f"{path.stat().st_size} bytes can hold; copy or trace the file again"

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.core.directions import half_difference
 from gonio.files import atomic
 from gonio.table.table import Table
 from microgeometry.errors import InputError
@@ -133,32 +134,6 @@ def write_function(brdf: Callable[[Array, Array], Array], path: Path) -> None:
     with atomic(path) as temporary, open(temporary, "wb") as file:
         np.array([N_THETA_H, N_THETA_D, N_PHI_D], "<i4").tofile(file)
         stored.T.astype("<f8").tofile(file)
-
-
-def half_difference(theta_i: Array | float, theta_r: Array, delta_phi: Array) -> tuple[Array, Array, Array]:
-    """MERL's angles of a pair of directions, for light at azimuth 0 and detector at `delta_phi`.
-
-    Returns
-    -------
-    theta_h, theta_d, phi_d : ndarray
-        Radians, of the arguments' broadcast shape; phi_d in [-pi, 0] for delta_phi in [0, pi], and of the
-        opposite sign for -delta_phi.
-    """
-    sin_i, cos_i = np.sin(theta_i), np.cos(theta_i)
-    sin_r = np.sin(theta_r)
-    x = sin_i + sin_r * np.cos(delta_phi)
-    y = sin_r * np.sin(delta_phi)
-    z = cos_i + np.cos(theta_r)
-    across = np.hypot(x, y)
-    length = np.hypot(across, z)
-    theta_h = np.arctan2(across, z)
-    theta_d = np.arccos(np.clip(0.5 * length, 0.0, 1.0))
-    # diff = R_y(-theta_h) R_z(-phi_h) wi; on the normal phi_h is that of +x
-    on_axis = across == 0
-    cos_phi_h = np.where(on_axis, 1.0, x) / np.where(on_axis, 1.0, across)
-    sin_phi_h = np.where(on_axis, 0.0, y) / np.where(on_axis, 1.0, across)
-    phi_d = np.arctan2(-sin_i * sin_phi_h, (sin_i * cos_phi_h * z - cos_i * across) / length)
-    return theta_h, theta_d, phi_d
 
 
 def bin_directions() -> tuple[Array, Array]:

@@ -31,6 +31,7 @@ def table_from_points(
     values: Array,
     channels: tuple[str, ...],
     std_error: Array | None = None,
+    azimuth_reach: float | None = None,
     **fields: Any,
 ) -> Table:
     """A table of samples; places without one are gaps. Samples of one place are averaged.
@@ -46,6 +47,8 @@ def table_from_points(
     values : ndarray, shape (N, C)
     channels : tuple of str
     std_error : ndarray, shape (N, C), optional
+    azimuth_reach : float, optional
+        Radians of delta phi on either side that a sample speaks for, where others are farther.
     **fields
         As in `Table`.
 
@@ -68,7 +71,7 @@ def table_from_points(
     sectors, sector = _nodes(delta_phi)
     if len(rows) * len(rings) * len(sectors) <= _SPARSE * len(theta_i):
         edges, ring_source = cells_around(rings, np.pi / 2)
-        phi_edges, sector_source = cells_around(sectors, np.pi)
+        phi_edges, sector_source = cells_around(sectors, np.pi, azimuth_reach)
         on_normal = (rows < _SAME)[:, None] | np.append(rings < _SAME, False)[ring_source]
         ring, sector = _cell_of(ring_source)[ring], _cell_of(sector_source)[sector]
     else:

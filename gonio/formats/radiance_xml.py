@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
-from xml.sax.saxutils import escape
 
 import numpy as np
 from defusedxml import DefusedXmlException
@@ -24,6 +23,7 @@ from gonio.files import atomic
 from gonio.formats.cells import average_cells, row_centres, table_of, uniform_grid
 from gonio.formats.klems import BASES, Klems
 from gonio.formats.losses import common_losses
+from gonio.formats.radiance_document import FULL, document
 from gonio.formats.tensor_tree import TensorTree, coordinates, directions, tree_text
 from gonio.formats.text import to_numbers
 from gonio.table.parts import TRANSMISSION
@@ -32,8 +32,6 @@ from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
 
-_FULL = "LBNL/Klems Full"
-_TREE = "LBNL/Shirley-Chiu"
 _LEVELS = 6  # of a tree that is written: 64 cells an axis
 _TOLERANCE = 0.02
 _SECTORS = 36  # of delta phi, in reading a matrix
@@ -145,7 +143,7 @@ def write(table: Table, path: Path) -> list[str]:
         for kind, text in (_tree_texts(side) if tree else _matrix_texts(side)).items():
             data.setdefault(kind, []).append((where, text))
     with atomic(path) as temporary:
-        temporary.write_text(_document(path.name, tree, data), encoding="utf-8")
+        temporary.write_text(document(path.name, tree, data), encoding="utf-8")
     losses = common_losses(table, "this format", keeps=("transmission",))
     grid = f"1/{2**_LEVELS} of the square" if tree else "the 145 patches of Klems, 10 degrees and more"
     return [*losses, f"what is finer than {grid}", "provenance, ledger and the grid of the rows"]
@@ -232,7 +230,7 @@ def _matrix(block: Element, path: Path, structure: str) -> tuple[Klems, Array]:
 
 def _matrix_texts(table: Table) -> dict[str, str]:
     """ScatteringData of a table by kind of wavelength."""
-    basis = Klems(_FULL)
+    basis = Klems(FULL)
     n_channels = len(table.channels)
     matrix = np.empty((basis.size, basis.size, n_channels))
     points = [basis.points(patch, 3, 3) for patch in range(basis.size)]
@@ -327,61 +325,3 @@ def _tree_texts(table: Table) -> dict[str, str]:
 
 
 # --- the document --------------------------------------------------------------------------------------
-
-
-def _document(name: str, tree: bool, data: dict[str, list[tuple[str, str]]]) -> str:
-    basis = _TREE if tree else _FULL
-    lines = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        '<WindowElement xmlns="http://windows.lbl.gov" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance">',
-        "<WindowElementType>System</WindowElementType>",
-        "<FileType>BSDF</FileType>",
-        "<Optical>",
-        "<Layer>",
-        f"<Material><Name>{escape(name)}</Name><Manufacturer>gonio</Manufacturer></Material>",
-        "<DataDefinition>",
-        f"<IncidentDataStructure>{'TensorTree3' if tree else 'Columns'}</IncidentDataStructure>",
-        *([] if tree else _basis_definition()),
-        "</DataDefinition>",
-    ]
-    for kind, sides in data.items():
-        for where, text in sides:
-            angle_basis = (
-                [f"<AngleBasis>{basis}</AngleBasis>"]
-                if tree
-                else [
-                    f"<ColumnAngleBasis>{basis}</ColumnAngleBasis>",
-                    f"<RowAngleBasis>{basis}</RowAngleBasis>",
-                ]
-            )
-            lines += [
-                "<WavelengthData>",
-                "<LayerNumber>System</LayerNumber>",
-                f'<Wavelength unit="Integral">{kind}</Wavelength>',
-                "<SourceSpectrum>CIE Illuminant E 1nm.ssp</SourceSpectrum>",
-                "<DetectorSpectrum>ASTM E308 1931 Y.dsp</DetectorSpectrum>",
-                "<WavelengthDataBlock>",
-                f"<WavelengthDataDirection>{where}</WavelengthDataDirection>",
-                *angle_basis,
-                f"<ScatteringDataType>B{'T' if where.startswith('T') else 'R'}DF</ScatteringDataType>",
-                "<ScatteringData>",
-                text,
-                "</ScatteringData>",
-                "</WavelengthDataBlock>",
-                "</WavelengthData>",
-            ]
-    return "\n".join([*lines, "</Layer>", "</Optical>", "</WindowElement>", ""])
-
-
-def _basis_definition() -> list[str]:
-    lines = ["<AngleBasis>", f"<AngleBasisName>{_FULL}</AngleBasisName>"]
-    bounds, counts = BASES[_FULL]
-    for n, count in enumerate(counts):
-        centre = 0 if n == 0 else 0.5 * (bounds[n] + bounds[n + 1])
-        lines += [
-            f"<AngleBasisBlock><Theta>{centre:g}</Theta><nPhis>{count}</nPhis>",
-            f"<ThetaBounds><LowerTheta>{bounds[n]:g}</LowerTheta>",
-            f"<UpperTheta>{bounds[n + 1]:g}</UpperTheta></ThetaBounds>",
-            "</AngleBasisBlock>",
-        ]
-    return [*lines, "</AngleBasis>"]

@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 
 from gonio.core.directions import direction
 from gonio.formats.cells import average_cells, row_centres, table_of, uniform_grid
+from gonio.formats.colour import RGB_TO_XYZ
 from gonio.formats.losses import common_losses
+from gonio.formats.rgl_tensors import N_THETA_I, tensors_of, to_unit
 from gonio.formats.tensor_file import read_tensors, write_tensors
 from gonio.formats.warp import Warp, bilinear
 from gonio.table.table import Table
@@ -28,11 +30,6 @@ from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
 
-_N_THETA_I = 19
-_VNDF = 128
-_NODES = 64  # of the spectra; 32 as in RGL's own files leave twice the error
-_EVEN = 0.7  # share of the normals spread evenly over sqrt(theta)
-_POLE = np.radians(2.0)  # down to about this theta
 _RGB = ("R", "G", "B")
 
 
@@ -65,6 +62,8 @@ def read(path: Path) -> Table:
     values, gaps = average_cells(look, n, edges, phi_edges, n_channels)
     wavelengths = fields.get("wavelengths")
     names = _RGB if wavelengths is None else tuple(f"{w:g} nm" for w in wavelengths)
+    # outside the gamut of sRGB a channel is below 0; the luminance is what must not be
+    colour = {"colour": {"luminance": RGB_TO_XYZ[1].tolist()}} if wavelengths is None else {}
     description = bytes(fields["description"].astype(np.uint8)).decode("utf-8", "replace")
     return table_of(
         values,
@@ -75,7 +74,7 @@ def read(path: Path) -> Table:
         names,
         theta_i_edges=edges,
         wavelengths_nm=None if wavelengths is None else tuple(wavelengths.tolist()),
-        provenance={"source": path.name, "format": "RGL", "description": description},
+        provenance={"source": path.name, "format": "RGL", "description": description, **colour},
     )
 
 
@@ -114,12 +113,12 @@ def write(table: Table, path: Path) -> list[str]:
         raise InputError(
             f"{path}: the table reflects nothing but its delta term; an RGL file cannot hold that"
         )
-    fields = _tensors(table)
+    fields = tensors_of(table)
     write_tensors(path, fields)
     losses = common_losses(table, "RGL", keeps=("wavelengths",))
     if n_channels == 1 and table.wavelengths_nm is None:
         losses.append("nothing of the one channel: it is written as R, G and B")
-    losses.append(f"rows of incidence other than {_N_THETA_I} from 0 to 90 degrees: they are interpolated")
+    losses.append(f"rows of incidence other than {N_THETA_I} from 0 to 90 degrees: they are interpolated")
     return [*losses, "provenance, ledger and the grid of the rows"]
 
 
@@ -145,10 +144,6 @@ def _select(table: Table, order: NDArray[np.int64]) -> Table:
 # --- the mapping ---------------------------------------------------------------------------------------
 
 
-def _to_unit(theta: Array, phi: Array) -> tuple[Array, Array]:
-    return np.sqrt(theta * (2 / np.pi)), (phi + np.pi) / (2 * np.pi) % 1.0
-
-
 def _between(angles: Array, theta: float) -> tuple[int, int, float]:
     """The two angles that enclose theta, and the weight of the second."""
     if len(angles) == 1:
@@ -167,102 +162,12 @@ def _evaluate(fields: dict[str, Array], theta_i: float, theta_o: Array, phi: Arr
     half = direction(np.full_like(theta_o, theta_i)) + direction(theta_o, phi)
     across = np.hypot(half[:, 0], half[:, 1])
     theta_m, phi_m = np.arctan2(across, half[:, 2]), np.arctan2(half[:, 1], half[:, 0])
-    x, y = _to_unit(theta_m, phi_m)
+    x, y = to_unit(theta_m, phi_m)
     values = bilinear(spectra, *warp.invert(x, y))
     if not fields["jacobian"]:
         return values
-    x_i, y_i = _to_unit(np.array([theta_i]), np.zeros(1))
+    x_i, y_i = to_unit(np.array([theta_i]), np.zeros(1))
     return values * bilinear(fields["ndf"], x, y) / (4 * bilinear(fields["sigma"], x_i, y_i))
-
-
-def _tensors(table: Table) -> dict[str, NDArray]:
-    """All fields of a file."""
-    u = np.linspace(0, 1, _VNDF)
-    theta = 0.5 * np.pi * u**2
-    ndf = _normals(table, theta)
-    theta_i = np.linspace(0, np.pi / 2, _N_THETA_I)
-    sigma = _projected_area(theta, ndf)
-    phi = np.linspace(-np.pi, np.pi, _VNDF)
-    m = direction(theta[None, :], phi[:, None])
-    jacobian = 2 * np.pi**2 * u * np.sin(theta)
-    n_channels = len(table.channels)
-    vndf = np.empty((_N_THETA_I, _VNDF, _VNDF), np.float32)
-    spectra = np.empty((_N_THETA_I, n_channels, _NODES, _NODES), np.float32)
-    s = np.linspace(0, 1, _NODES)
-    sy, sx = (a.ravel() for a in np.meshgrid(s, s, indexing="ij"))
-    two_rows = np.stack([ndf, ndf]).astype(np.float32)
-    areas = np.stack([sigma, sigma]).astype(np.float32)
-    for n, angle in enumerate(theta_i):
-        wi = direction(angle)
-        density = ndf * np.maximum(m @ wi, 0) * jacobian
-        vndf[n] = density / density.max()
-        x, y = Warp(vndf[n].astype(float)).sample(sx, sy)
-        normal = direction(0.5 * np.pi * x**2, 2 * np.pi * y - np.pi)
-        wo = 2 * (normal @ wi)[:, None] * normal - wi
-        cosine = np.maximum(wo[:, 2], 0.0)
-        # the renderer divides by what it interpolates, so do we
-        x_i, y_i = _to_unit(np.array([angle]), np.zeros(1))
-        factor = 4 * bilinear(areas.astype(float), x_i, y_i) / bilinear(two_rows.astype(float), x, y)
-        f = table.eval(wi, wo)
-        spectra[n] = (f * (cosine * factor)[:, None]).T.reshape(n_channels, _NODES, _NODES)
-    luminance = spectra.mean(axis=1)
-    luminance += 1e-3 * luminance.max(axis=(1, 2), keepdims=True) + np.finfo(np.float32).tiny
-    fields: dict[str, NDArray] = {
-        "description": np.frombuffer(b"BRDF table converted by gonio", np.uint8),
-        "phi_i": np.zeros(1, np.float32),
-        "theta_i": theta_i.astype(np.float32),
-        "ndf": two_rows,
-        "sigma": areas,
-        "vndf": vndf[None],
-        "luminance": luminance[None],
-        "jacobian": np.ones(1, np.uint8),
-    }
-    if table.wavelengths_nm is not None:
-        fields["wavelengths"] = np.array(table.wavelengths_nm, np.float32)
-        fields["spectra"] = spectra[None]
-    else:
-        fields["rgb"] = np.ascontiguousarray(np.broadcast_to(spectra, (_N_THETA_I, 3, _NODES, _NODES)))[None]
-    return fields
-
-
-def _normals(table: Table, theta: Array) -> Array:
-    """A distribution of normals at angles theta, positive, from the table.
-
-    The mean of 4 cos(theta_i) cos(theta_r) f over the cells whose half vector is theta away from the normal:
-    the distribution itself for facets without shadowing and Fresnel's dimming. A share of its mass is
-    spread evenly over the coordinate sqrt(theta), so that nodes are dense at the normal and nowhere lacking.
-    """
-    mean = np.maximum(table.values.mean(axis=-1), 0.0)
-    wi = direction(table.theta_i)[:, None, None]
-    wo = direction(table.theta_r[:, None], table.delta_phi)[None]
-    half = wi + wo
-    theta_h = np.arctan2(np.hypot(half[..., 0], half[..., 1]), half[..., 2])
-    weight = wi[..., 2] * table.projected_solid_angles * np.sin(table.theta_i)[:, None, None]
-    known = 1.0 if table.gaps is None else ~table.gaps
-    weight = weight * known + np.zeros_like(mean)
-    edges = 0.5 * np.pi * np.linspace(0, 1, 65) ** 2
-    index = np.clip(np.searchsorted(edges, theta_h.ravel(), "right") - 1, 0, 63)
-    total = np.bincount(index, (weight * mean * 4 * wi[..., 2] * wo[..., 2]).ravel(), 64)
-    count = np.bincount(index, weight.ravel(), 64)
-    seen = count > 0
-    centres = 0.5 * (edges[1:] + edges[:-1])
-    estimate = np.interp(theta, centres[seen], total[seen] / count[seen])
-    even = (theta**2 + _POLE**2) ** -0.75
-    area = np.sin(2 * theta) * np.pi
-    return (1 - _EVEN) * estimate / np.trapezoid(estimate * area, theta) + _EVEN * even / np.trapezoid(
-        even * area, theta
-    )
-
-
-def _projected_area(theta: Array, ndf: Array) -> Array:
-    """sigma(theta): integral of ndf max(0, wi.m) over the hemisphere of normals."""
-    phi = (np.arange(256) + 0.5) * (2 * np.pi / 256)
-    weights = np.zeros_like(theta)
-    weights[:-1] += 0.5 * np.diff(theta)
-    weights[1:] += 0.5 * np.diff(theta)
-    m = direction(theta[:, None], phi)
-    visible = np.maximum(np.einsum("tpk,ik->itp", m, direction(theta)), 0).mean(axis=2) * 2 * np.pi
-    return visible @ (ndf * np.sin(theta) * weights)
 
 
 # --- reading -------------------------------------------------------------------------------------------

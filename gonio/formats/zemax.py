@@ -9,9 +9,11 @@ r and azimuth z, which is 0 from the specular direction towards the normal, is::
 Below the horizon values are 0. Rows are azimuths, columns radial angles; ``PlaneSymmetrical`` files hold
 azimuths 0 to 180 degrees.
 
-The ``TIS`` line of a row states its total reflectance. OpticStudio scales the values to it; real files'
-lines do not always fit their values, so values are read as they stand, and both reflectances are kept in the
-provenance, under ``tis`` and ``integral``.
+The ``TIS`` line of a row states its total reflectance. OpticStudio scales the values to it. That is no reason
+to read them so: where an instrument sees 80 degrees about the mirror direction TIS holds what lies beyond as
+well, and where a mirror's share is in no sample TIS holds that; scaled values would be too bright, by 3 to 19 %
+and by 50 times in Ansys's examples. So values are read as they stand, and both reflectances are kept in
+the provenance, under ``tis`` and ``integral``.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ def _locate(axes, first, buckets, bucket, x, position):
 
 
 @kernel(allocates=False)
-def _locate_row(pool, t, v):
+def locate_row(pool, t, v):
     """Rows a, b that enclose v = sin^2 theta_i and the weight of b."""
     n = pool.header[t, N_ROWS]
     if n == 1:
@@ -121,7 +121,7 @@ def eval_table(pool, t, wi, wo, out):
             out[c] = 0.0
         return
     v, u, phi = _coordinates(wi, wo)
-    a, b, w = _locate_row(pool, t, v)
+    a, b, w = locate_row(pool, t, v)
     k, x, j, y = _locate_point(pool, t, u, phi)
     w00 = (1.0 - x) * (1.0 - y)
     w01 = (1.0 - x) * y
@@ -176,7 +176,7 @@ def pdf_table(pool, t, wi, wo):
     if wi[2] < 0.0 or wo[2] <= 0.0:
         return 0.0
     v, u, phi = _coordinates(wi, wo)
-    a, b, w = _locate_row(pool, t, v)
+    a, b, w = locate_row(pool, t, v)
     total = (1.0 - w) * _row_mean(pool, t, a) + w * _row_mean(pool, t, b)
     if total <= 0.0:
         return 0.0
@@ -259,7 +259,7 @@ def sample_table(pool, t, wi, u0, u1, u2):
         Per solid angle; 0 where nothing is reflected (`wo` is then the normal, and to be discarded).
     """
     v = min(1.0, wi[0] * wi[0] + wi[1] * wi[1])
-    a, b, w = _locate_row(pool, t, v)
+    a, b, w = locate_row(pool, t, v)
     share_a = (1.0 - w) * _row_mean(pool, t, a)
     total = share_a + w * _row_mean(pool, t, b)
     if wi[2] < 0.0 or total <= 0.0:
@@ -287,70 +287,3 @@ def sample_table(pool, t, wi, u0, u1, u2):
         ex, ey = wi[0] / length, wi[1] / length
     wo = (radius * (cos_phi * ex - sin_phi * ey), radius * (cos_phi * ey + sin_phi * ex), cos_o)
     return wo, _mean(pool, t, a, b, w, k, x, j, y) * cos_o / total
-
-
-@kernel(allocates=False)
-def _row_quantity(pool, t, cos_i, column, out):
-    n = pool.header[t, N_CHANNELS]
-    a, b, w = _locate_row(pool, t, 1.0 - cos_i * cos_i)
-    first = pool.header[t, ROWS] + 1 + column * n
-    for c in range(n):
-        at_a = pool.rows[first + a * (1 + 3 * n) + c]
-        at_b = pool.rows[first + b * (1 + 3 * n) + c]
-        out[c] = (1.0 - w) * at_a + w * at_b if cos_i >= 0.0 else 0.0
-
-
-@kernel(allocates=False)
-def albedo_table(pool, t, cos_i, out):
-    """Directional-hemispherical reflectance without the delta term: what `eval_table` integrates to.
-
-    Parameters
-    ----------
-    pool : Pool
-    t : int
-        Which table of the pool.
-    cos_i : float
-        Cosine of the angle of incidence; below 0 the reflectance is 0.
-    out : ndarray, shape (C,)
-        Receives the reflectance per channel.
-    """
-    _row_quantity(pool, t, cos_i, 1, out)
-
-
-@kernel(allocates=False)
-def specular_table(pool, t, cos_i, out):
-    """Reflectance into exactly the mirror direction (the delta term); arguments as `albedo_table`."""
-    _row_quantity(pool, t, cos_i, 2, out)
-
-
-@kernel(allocates=False)
-def eval_many(pool, t, wi, wo, out):
-    """`eval_table` for arrays of directions, shape (N, 3), into `out`, shape (N, C)."""
-    for n in range(len(wi)):
-        eval_table(pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), (wo[n, 0], wo[n, 1], wo[n, 2]), out[n])
-
-
-@kernel(allocates=False)
-def pdf_many(pool, t, wi, wo, out):
-    """`pdf_table` for arrays of directions, shape (N, 3), into `out`, shape (N,)."""
-    for n in range(len(wi)):
-        out[n] = pdf_table(pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), (wo[n, 0], wo[n, 1], wo[n, 2]))
-
-
-@kernel(allocates=False)
-def sample_many(pool, t, wi, uniforms, wo, pdf):
-    """`sample_table` for arrays, `wi` and `uniforms` of shape (N, 3), into `wo` (N, 3) and `pdf` (N,)."""
-    for n in range(len(wi)):
-        direction, density = sample_table(
-            pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), uniforms[n, 0], uniforms[n, 1], uniforms[n, 2]
-        )
-        wo[n, 0], wo[n, 1], wo[n, 2] = direction
-        pdf[n] = density
-
-
-@kernel(allocates=False)
-def row_quantities_many(pool, t, cos_i, albedo, specular):
-    """`albedo_table` and `specular_table` for cosines of shape (N,), into arrays of shape (N, C)."""
-    for n in range(len(cos_i)):
-        albedo_table(pool, t, cos_i[n], albedo[n])
-        specular_table(pool, t, cos_i[n], specular[n])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gonio.core.directions import projected_solid_angles
-from gonio.table import interpolation
+from gonio.table import many
 from gonio.table.pool import Pool, pool_tables
 from microgeometry.errors import InputError
 
@@ -251,7 +251,7 @@ class Table:
         """
         wi, wo, shape = _flat(wi, wo)
         out = np.empty((len(wi), len(self.channels)))
-        interpolation.eval_many(self.pool, 0, wi, wo, out)
+        many.eval_many(self.pool, 0, wi, wo, out)
         return out.reshape(*shape, -1)
 
     def sample(self, wi: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
@@ -272,14 +272,14 @@ class Table:
         """
         wi, u, shape = _flat(wi, u)
         wo, pdf = np.empty_like(wi), np.empty(len(wi))
-        interpolation.sample_many(self.pool, 0, wi, u, wo, pdf)
+        many.sample_many(self.pool, 0, wi, u, wo, pdf)
         return wo.reshape(*shape, 3), pdf.reshape(shape)
 
     def pdf(self, wi: ArrayLike, wo: ArrayLike) -> Array:
         """Density per solid angle with which `sample` draws `wo`, shape (...); directions as in `eval`."""
         wi, wo, shape = _flat(wi, wo)
         out = np.empty(len(wi))
-        interpolation.pdf_many(self.pool, 0, wi, wo, out)
+        many.pdf_many(self.pool, 0, wi, wo, out)
         return out.reshape(shape)
 
     def albedo(self, theta_i: ArrayLike) -> Array:
@@ -305,7 +305,7 @@ class Table:
         cos_i = np.cos(np.asarray(theta_i, float))
         albedo = np.empty((cos_i.size, len(self.channels)))
         specular = np.empty_like(albedo)
-        interpolation.row_quantities_many(self.pool, 0, cos_i.ravel(), albedo, specular)
+        many.row_quantities_many(self.pool, 0, cos_i.ravel(), albedo, specular)
         return albedo.reshape(*cos_i.shape, -1), specular.reshape(*cos_i.shape, -1)
 
 

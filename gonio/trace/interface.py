@@ -14,7 +14,8 @@ from gonio.core.jit import kernel
 from gonio.core.optics import fresnel_amplitudes, fresnel_transmission, refract
 from gonio.core.philox import uniforms
 from gonio.core.stokes import mueller, perpendicular, rotation
-from gonio.table.interpolation import albedo_table, eval_table, sample_table, specular_table
+from gonio.table.interpolation import eval_table, sample_table
+from gonio.table.row_quantities import albedo_table, specular_table
 from gonio.trace.stack import BLACK, CLEAR, LAMBERT, MIRROR, TABLE
 
 # Rows of `scratch`: what a sample's interface does. In reflection, then in transmission: |a_s|^2, |a_p|^2, and

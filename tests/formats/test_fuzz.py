@@ -15,9 +15,11 @@ import pytest
 
 from gonio.formats import merl, read
 from gonio.formats.tensor_file import write_tensors
+from gonio.table.compress import METHODS, compress
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
 from tests.formats.test_lists import write_astm, write_lighttools, write_openmaterial
+from tests.formats.test_plane_csv import write as write_plane
 from tests.formats.test_radiance_xml import QUARTER, document
 from tests.formats.test_speos import write_anisotropic, write_brdf
 from tests.formats.test_zemax import write_file
@@ -69,6 +71,8 @@ SAMPLES = {
     "t.h5": lambda path: small_table().save(path),
     "t.npz": lambda path: small_table().save(path),
     "t.csv": lambda path: small_table().save(path),
+    **{f"{m}.h5": (lambda path, m=m: compress(small_table(), path, 0.1, m)) for m in METHODS},
+    "plane.csv": write_plane,
     "rgl.bsdf": rgl,
     "zemax.bsdf": lambda path: write_file(path, asymmetric, azimuths=np.arange(0, 361, 120)),
     "lighttools.bsdf": lambda path: write_lighttools(path, tuple(range(0, 361, 120))),

@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from gonio.table.checks import check
+from gonio.table.checks import check, map_noise, noise_lines
 from gonio.table.parts import extract
 from gonio.validation import seed_from
-from tests.table.tables import asymmetric, ggx, grid, make, with_parts
+from tests.table.tables import asymmetric, ggx, grid, lambert, make, with_parts
 
 
 def poisson(brdf, rng, paths, edges, asymmetry=0.0, batches=None, tint=(1.0,)):
@@ -113,6 +113,60 @@ def test_energy():
     bright = table.replace(row_albedo=np.where(np.arange(20)[:, None] == 7, 1 + 6 * sigma, table.row_albedo))
     assert named(check(bright), "energy").passed is False
     assert named(check(bright), "albedo is the sum over cells").passed is False
+
+
+def test_energy_is_told_for_every_angle():
+    table = make(ggx(0.5, 0.5), grid(6, 6, 6))
+    found = check(table).to_json()["checks"]["energy"]
+    np.testing.assert_allclose(found["theta_i_deg"], np.degrees(table.theta_i))
+    np.testing.assert_allclose(found["energy"], table.row_albedo)
+    np.testing.assert_allclose(found["allowed"], 1.000001)
+    assert found["energy_channels"] == ["R", "G", "B"]
+
+
+def test_negative_albedo_is_compared_by_its_size():
+    """A colour outside the gamut: -0.02 within 1 % of itself passes, 2 % off fails."""
+    table = make(ggx(0.5, 0.5), grid(6, 6, 6), tint=(1.0, 0.5, -0.02))
+    for factor, passed in ((1.005, True), (0.995, True), (1.02, False), (0.98, False)):
+        albedo = table.row_albedo * np.array([1.0, 1.0, factor])
+        found = named(check(table.replace(row_albedo=albedo)), "albedo is the sum over cells")
+        assert found.passed is passed, factor
+
+
+def test_noise_map():
+    """Errors of 5 % below 45 degrees and 20 % above: so the map's blocks say, in rows as in rings."""
+    table = make(lambert, grid(18, 18, 12), tint=(1.0,))
+    steep = table.theta_r > np.pi / 4
+    error = np.where(steep[None, :, None, None], 0.2, 0.05) * table.values
+    error[9:] *= 2
+    noisy = table.replace(std_error=error)
+    edges_i, edges_r, noise = map_noise(noisy, 45.0)
+    np.testing.assert_allclose(np.degrees(edges_i), [0, 45, 90])
+    np.testing.assert_allclose(edges_r, edges_i)
+    np.testing.assert_allclose(noise, [[0.05, 0.2], [0.1, 0.4]], rtol=1e-12)
+    lines = noise_lines(noisy)
+    assert len(lines) == 2 + 9
+    # half of what lies between 40 and 50 degrees has 5 %, half 20 %: the root of the mean square is 14.6 %
+    assert lines[2].split() == ["0", *["5"] * 4, "14.6", *["20"] * 4]
+    in_json = json.loads(json.dumps(check(noisy).to_json()))["checks"]["noise"]
+    assert in_json["map"][8][8] == pytest.approx(0.4)
+
+
+def test_noise_map_where_nothing_is():
+    table = make(lambert, grid(18, 18, 12), tint=(1.0,))
+    values = table.values.copy()
+    values[:, 4:] = 0.0
+    gaps = np.zeros(values.shape[:3], bool)
+    gaps[:9] = True
+    dark = table.replace(values=values, std_error=0.1 * table.values, gaps=gaps)
+    noise = map_noise(dark, 45.0)[2]
+    assert np.all(np.isnan(noise[0]))
+    assert np.isnan(noise[1, 1])
+    # light below 20 degrees only: its share of the block is in both means, in the error's under the root
+    lit = np.sin(np.radians(20)) ** 2 / np.sin(np.radians(45)) ** 2
+    assert noise[1, 0] == pytest.approx(0.1 / np.sqrt(lit))
+    assert check(dark).to_json()["checks"]["noise"]["map"][0][0] is None
+    assert noise_lines(dark)[2].split()[:3] == ["40", "10", "10"]
 
 
 def test_energy_counts_what_is_transmitted():

@@ -14,11 +14,12 @@ from scipy import stats
 
 from gonio.table.checks.reciprocity import check_reciprocity
 from gonio.table.checks.report import Check, CheckReport
+from gonio.table.checks.resolution import check_resolution
 from gonio.table.parts import TRANSMISSION, orders_of
 from gonio.table.table import Table
 from gonio.validation import FALSE_ALARM, sidak
 
-__all__ = ["Check", "CheckReport", "check", "relative_noise"]
+__all__ = ["Check", "CheckReport", "check", "map_noise", "noise_lines", "relative_noise"]
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,7 @@ def check(table: Table) -> CheckReport:
     Returns
     -------
     CheckReport
-        Of reciprocity, energy, albedo against cells, parts, positivity, noise and ledger.
+        Of reciprocity, energy, albedo against cells, parts, positivity, noise, resolution and ledger.
     """
     checks = [*check_reciprocity(table), _energy(table), _consistency(table)]
     transmission = table.parts.get(TRANSMISSION)
@@ -45,7 +46,7 @@ def check(table: Table) -> CheckReport:
     for name, whole in (("the table", table), (TRANSMISSION, transmission)):
         if whole is not None and orders_of(whole):
             checks.append(_orders(whole, name))
-    return CheckReport((*checks, _positivity(table), _noise(table), _ledger(table)))
+    return CheckReport((*checks, _positivity(table), _noise(table), check_resolution(table), _ledger(table)))
 
 
 def _limit(n: int) -> float:
@@ -72,7 +73,14 @@ def _energy(table: Table) -> Check:
         f"{energy[worst]:.6f} at theta_i = {np.degrees(table.theta_i[worst[0]]):.4g} deg, "
         f"channel {channels[worst[1]]}"
     )
-    return Check("energy", passed, detail, {"albedo_max": table.row_albedo.max(), "energy_max": energy.max()})
+    numbers = {"albedo_max": table.row_albedo.max(), "energy_max": energy.max()}
+    rows = {
+        "theta_i_deg": np.degrees(table.theta_i).tolist(),
+        "energy_channels": list(channels),
+        "energy": energy.tolist(),
+        "allowed": allowed.tolist(),
+    }
+    return Check("energy", passed, detail, numbers, rows)
 
 
 def _consistency(table: Table) -> Check:
@@ -83,7 +91,9 @@ def _consistency(table: Table) -> Check:
     if table.std_error is not None:
         variance = variance + np.einsum("irpc,rp->ic", table.std_error**2, areas**2)
     # without error bars the albedo may come from elsewhere (a TIS line, a compressed file's rounding)
-    allowed = _limit(total.size) * np.sqrt(variance) + (1e-6 if table.std_error is not None else 1e-2) * total
+    allowed = _limit(total.size) * np.sqrt(variance) + (
+        1e-6 if table.std_error is not None else 1e-2
+    ) * np.abs(total)
     rows = np.ones(len(table.theta_i), bool) if table.gaps is None else ~table.gaps.any(axis=(1, 2))
     difference = np.abs(table.row_albedo - total)
     worst = float(difference[rows].max()) if rows.any() else 0.0
@@ -135,7 +145,67 @@ def _noise(table: Table) -> Check:
         f"median relative standard error {np.median(noise):.3g} of the cells that hold 99 % of the energy, "
         f"worst row {noise.max():.3g}"
     )
-    return Check("noise", None, detail, {"median": float(np.median(noise)), "worst_row": float(noise.max())})
+    numbers = {"median": float(np.median(noise)), "worst_row": float(noise.max())}
+    edges_i, edges_r, noise_map = map_noise(table)
+    rows = {
+        "map_theta_i_deg": np.degrees(edges_i).tolist(),
+        "map_theta_r_deg": np.degrees(edges_r).tolist(),
+        # JSON knows no NaN: where nothing was reflected stands null
+        "map": [[None if np.isnan(n) else float(n) for n in line] for line in noise_map],
+    }
+    return Check("noise", None, detail, numbers, rows)
+
+
+def map_noise(table: Table, width_deg: float = 10.0) -> tuple[Array, Array, Array]:
+    """Where the table is how uncertain: relative standard error by blocks of theta_i and theta_r.
+
+    Of a block, the root of the mean variance over the mean value, both weighted by projected solid angle, of
+    all cells and of the mean over the channels' values: what a cell that holds its share of the energy has.
+
+    Parameters
+    ----------
+    table : Table
+        With error bars.
+    width_deg : float
+        Of a block, degrees, at least a ring or row of the table.
+
+    Returns
+    -------
+    theta_i_edges, theta_r_edges : ndarray
+        Of the blocks, radians.
+    noise : ndarray, shape (blocks in theta_i, blocks in theta_r)
+        NaN where nothing is reflected, or where no row lies.
+    """
+    if table.std_error is None:
+        raise ValueError("map_noise: the table has no error bars")
+    edges = np.radians(np.linspace(0.0, 90.0, max(1, round(90.0 / width_deg)) + 1))
+    row = np.clip(np.searchsorted(edges, table.theta_i, side="right") - 1, 0, len(edges) - 2)
+    ring = np.clip(np.searchsorted(edges, table.theta_r, side="right") - 1, 0, len(edges) - 2)
+    areas = table.projected_solid_angles
+    known = np.ones(table.values.shape[:3]) if table.gaps is None else ~table.gaps
+    weight = known * areas
+    # cells without hits carry an upper bound, not an error
+    variance = np.where(table.values > 0, table.std_error, 0.0) ** 2
+    sums = np.zeros((3, len(edges) - 1, len(edges) - 1))
+    for k, quantity in enumerate((np.abs(table.values.mean(axis=3)), variance.mean(axis=3), known)):
+        per_ring = np.einsum("irp,irp->ir", weight, quantity)
+        np.add.at(sums[k], (row[:, None], ring[None, :]), per_ring)
+    value, square = (np.divide(s, sums[2], out=np.zeros_like(s), where=sums[2] > 0) for s in sums[:2])
+    return edges, edges, np.where(value > 0, np.sqrt(square) / np.where(value > 0, value, 1.0), np.nan)
+
+
+def noise_lines(table: Table) -> list[str]:
+    """The map of `map_noise` as lines of text: percent, a row a block of theta_i."""
+    edges_i, edges_r, noise = map_noise(table)
+    starts_i, starts_r = (np.degrees(edges[:-1]) for edges in (edges_i, edges_r))
+    lines = ["relative standard error of a cell, %: theta_i down, theta_r across, from the angles given"]
+    lines.append(" " * 6 + "".join(f"{start:6.0f}" for start in starts_r))
+    for start, line in zip(starts_i, noise, strict=True):
+        if np.any(np.isfinite(line)):
+            lines.append(
+                f"{start:6.0f}" + "".join(f"{100 * n:6.3g}" if np.isfinite(n) else "     -" for n in line)
+            )
+    return lines
 
 
 def relative_noise(table: Table) -> Array:

@@ -20,12 +20,15 @@ class Check:
         The finding in words.
     numbers : mapping of str to float
         The finding in numbers.
+    rows : mapping of str to list
+        The finding for every angle of incidence, or a map of it: lists, or lists of lists, of numbers.
     """
 
     name: str
     passed: bool | None
     detail: str
     numbers: Mapping[str, float] = field(default_factory=dict)
+    rows: Mapping[str, list] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -40,9 +43,14 @@ class CheckReport:
         return all(check.passed is not False for check in self.checks)
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-ready: ``passed``, and under ``checks`` per check its name, verdict, detail and numbers."""
+        """JSON-ready: ``passed``, and under ``checks`` per check its verdict, detail, numbers and rows."""
         checks = {
-            c.name: {"passed": c.passed, "detail": c.detail, **{k: float(v) for k, v in c.numbers.items()}}
+            c.name: {
+                "passed": c.passed,
+                "detail": c.detail,
+                **{name: float(number) for name, number in c.numbers.items()},
+                **c.rows,
+            }
             for c in self.checks
         }
         return {"passed": self.passed, "checks": checks}

@@ -2,10 +2,12 @@
 
 The error of a row of incidence and channel is relative and cosine-weighted,
 E = ||f' - f|| / ||f||, norms over the row's cells in projected solid angle (cosine times solid angle). Each row is
-held to max(max_error, its own noise): to follow noise more closely than its error bar would store chance.
+held to max_error, or to its own noise where that is larger: to follow noise more closely than its error bar
+would store chance. So is its albedo, the sum over its cells.
 
-A method is a module with ``encode(table, bound) -> content``, the content a mapping of arrays,
-numbers and text, and ``decode(content, fields) -> values``; it is one line in `METHODS`. The file is an
+A method has ``encode(table, bounds, quick) -> content``, the content a mapping of arrays, numbers and text,
+and ``decode(content, fields) -> values``; it is one line in `METHODS`. Other packages register theirs under
+the entry points ``gonio.compression``: modules that add their line when they are imported. The file is an
 HDF5 table that holds the content in place of its values (see `gonio.formats.hdf5`): `Table.load` opens it
 like any other. The table's parts are in the same file, each held to the bound as a table of its own.
 Albedo, delta term, axes, gaps, ledger and provenance are kept in full; error bars of cells and hits are
@@ -17,25 +19,68 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.files import atomic
 from gonio.formats import hdf5
-from gonio.table.compress import dct
-from gonio.table.compress.metric import cosine_weights, row_errors, row_noise
+from gonio.formats.hdf5_content import stored_bytes
+from gonio.table.compress import codecs, dct, low_rank, tree
+from gonio.table.compress.metric import cosine_weights, excess, row_bounds, row_errors, row_noise
 from gonio.table.parts import walk
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
-__all__ = ["METHODS", "CompressionReport", "compress", "cosine_weights", "decode", "row_errors", "row_noise"]
+__all__ = [
+    "AUTO",
+    "METHODS",
+    "CompressionReport",
+    "Method",
+    "compress",
+    "cosine_weights",
+    "decode",
+    "methods",
+    "row_bounds",
+    "row_errors",
+    "row_noise",
+]
 
-METHODS: dict[str, ModuleType] = {"dct": dct}
-"""Methods by the name a file gives to the one that wrote it."""
+
+class Method(Protocol):
+    """A method of compression: a module, or an object like one."""
+
+    def encode(self, table: Table, bounds: NDArray, quick: bool = ..., /) -> dict[str, Any]:
+        """Content whose decoded values hold the bounds, shape (I, C); InputError where it cannot.
+
+        `quick`: the size need only be good enough to compare methods by.
+        """
+
+    def decode(self, content: Mapping[str, Any], fields: Mapping[str, Any], /) -> NDArray[np.float64]:
+        """Values, shape (I, R, P, C), from the content and the table's other fields.
+
+        KeyError, TypeError, ValueError, OSError or EOFError: the content is damaged.
+        """
+
+
+METHODS: dict[str, Method] = {
+    "tree": tree,
+    "dct": dct,
+    "low_rank": low_rank,
+    "zfp": codecs.ZFP,
+    "sz3": codecs.SZ3,
+    "blosc2": codecs.BLOSC2,
+}
+"""Methods by the name a file gives to the one that wrote it; see `methods` for those of other packages."""
+
+AUTO = "auto"
+"""In place of a method's name: the one of the smallest file."""
+
+FALLBACK = "tree"
+"""For a part of a table that the method chosen for the table cannot hold to its bound."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +102,10 @@ class CompressionReport:
     albedo_error : float
         Largest difference of a row's albedo, summed over the cells, from the original's.
     method : str
+        The one used, also where the best was asked for.
+    sizes : dict of str to int
+        Where the best was asked for: bytes of the content by method, of quick trials; without those that
+        cannot hold the bound.
     """
 
     bytes: int
@@ -68,10 +117,18 @@ class CompressionReport:
     noise_median: float
     albedo_error: float
     method: str
+    sizes: dict[str, int]
+
+
+def methods() -> dict[str, Method]:
+    """`METHODS` with those that installed packages register."""
+    for entry in entry_points(group="gonio.compression"):
+        entry.load()
+    return METHODS
 
 
 def compress(
-    table: Table, path: str | os.PathLike[str], max_error: float = 0.01, method: str = "dct"
+    table: Table, path: str | os.PathLike[str], max_error: float = 0.01, method: str = AUTO
 ) -> CompressionReport:
     """Write a compressed table (.h5) that holds the error bound.
 
@@ -80,10 +137,10 @@ def compress(
     table : Table
     path : path
     max_error : float
-        Largest relative, cosine-weighted RMS error of any row and channel; rows noisier than that are held
-        to their noise.
+        Largest relative, cosine-weighted RMS error of any row and channel, and largest relative error of its
+        albedo; rows noisier than that are held to their noise (`row_bounds`).
     method : str
-        One of `METHODS`.
+        One of `methods`, or "auto": each is tried, and the one of the smallest content is used.
 
     Returns
     -------
@@ -92,7 +149,8 @@ def compress(
     Raises
     ------
     InputError
-        A suffix other than .h5, an unknown method, or a bound outside 1e-6 to 1.
+        A suffix other than .h5, an unknown method, a bound outside 1e-6 to 1, or one that the method cannot
+        hold.
     OSError
         The file cannot be written.
     """
@@ -101,17 +159,24 @@ def compress(
         raise InputError(f"{path}: a compressed table is an HDF5 file, its suffix must be .h5")
     if not 1e-6 <= max_error <= 1:
         raise InputError(f"max_error: {max_error}; a number from 1e-6 to 1 is expected")
-    if method not in METHODS:
-        raise InputError(f"method: {method!r} is unknown; allowed are {', '.join(METHODS)}")
+    known = methods()
+    if method not in (AUTO, *known):
+        raise InputError(f"method: {method!r} is unknown; allowed are {AUTO}, {', '.join(known)}")
     tables = {"": table, **dict(walk(table))}
     noise = {part: row_noise(t) for part, t in tables.items()}
-    bounds = {part: np.maximum(max_error, n) for part, n in noise.items()}
+    bounds = {part: row_bounds(t, max_error) for part, t in tables.items()}
+    sizes: dict[str, int] = {}
+    if method == AUTO:
+        sizes = trial_sizes(table, bounds[""])
+        if not sizes:
+            raise InputError(f"max_error: {max_error}; no method holds it, allow more")
+        method = min(sizes, key=lambda name: sizes[name])
     content = {
-        part: {"method": method, **METHODS[method].encode(t, bounds[part])} for part, t in tables.items()
+        part: _content(t, bounds[part], method, FALLBACK if sizes else None) for part, t in tables.items()
     }
     facts = {
         part: {
-            "method": method,
+            "method": content[part]["method"],
             "max_error": max_error,
             "noise_worst": float(noise[part].max()),
             "noise_median": float(np.median(noise[part])),
@@ -124,10 +189,10 @@ def compress(
         written = hdf5.read(temporary)
         decoded = {"": written, **dict(walk(written))}
         errors = {part: row_errors(t, decoded[part].values) for part, t in tables.items()}
-        excess = max(float(np.max(errors[part] / bounds[part])) for part in tables)
-        if excess > 1 + 1e-9:
+        worst = max(float(excess(t, decoded[part].values, bounds[part]).max()) for part, t in tables.items())
+        if worst > 1 + 1e-9:
             raise RuntimeError(
-                f"{path}: {method} exceeds its bound by a factor of {excess:.3g} when read back"
+                f"{path}: {method} exceeds its bound by a factor of {worst:.3g} when read back"
             )
     areas = table.projected_solid_angles
     albedo_errors = [
@@ -146,7 +211,29 @@ def compress(
         noise_median=float(np.median(every_noise)),
         albedo_error=float(max(albedo_errors)),
         method=method,
+        sizes=sizes,
     )
+
+
+def _content(table: Table, bounds: NDArray, method: str, fallback: str | None) -> dict[str, Any]:
+    """What stands for the values; by `fallback`, if any, where the method cannot hold the bounds."""
+    try:
+        return {"method": method, **METHODS[method].encode(table, bounds)}
+    except InputError:
+        if fallback is None or fallback == method:
+            raise
+    return {"method": fallback, **METHODS[fallback].encode(table, bounds)}
+
+
+def trial_sizes(table: Table, bounds: NDArray[np.float64]) -> dict[str, int]:
+    """Bytes of content by method, of a quick trial of each; without those that cannot hold the bounds."""
+    sizes = {}
+    for name, method in methods().items():
+        try:
+            sizes[name] = stored_bytes(method.encode(table, bounds, True))
+        except InputError:
+            continue
+    return sizes
 
 
 def _slim(table: Table, facts: Mapping[str, Any], path: str = "") -> Table:
@@ -165,8 +252,12 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> NDArray[np.
         An unknown method, or content that does not fit the axes.
     """
     method = content.get("method")
-    if method not in METHODS:
+    known = METHODS if method in METHODS else methods()
+    if method not in known:
         raise InputError(
-            f"compressed: method {method!r} is unknown; this version reads {', '.join(METHODS)}, update gonio"
+            f"compressed: method {method!r} is unknown; this version reads {', '.join(known)}, update gonio"
         )
-    return METHODS[method].decode(content, fields)
+    try:
+        return known[method].decode(content, fields)
+    except (KeyError, TypeError, ValueError, OSError, EOFError) as error:
+        raise InputError(f"compressed: damaged content ({error}); compress the table again") from error

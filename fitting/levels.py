@@ -1,0 +1,141 @@
+"""How many quadrature nodes each cell needs for its average."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.moments import QUADRATIC, Cells, average, touching
+from fitting.problem import Problem
+from gonio.core.jit import kernel
+from gonio.core.parallel import for_each
+
+Array = NDArray[np.float64]
+
+_CHUNKS = 32
+_POINTS = 2_500_000  # most quadrature points of a look at all cells
+_NEGLIGIBLE = 1e-10  # of the objective of a model that is 0
+_UNNOTICED = 1e-2  # of chi^2: a tenth of a standard error
+_MANY = 100_000  # cells; of more only one in a block is looked at
+_BLOCK = (2, 2, 4)
+_NEIGHBOUR = 0.25  # of a neighbouring block's error is the least expected
+
+
+def refine(problem: Problem, x: Array, coefficients: Array) -> None:
+    """Give every cell of a problem the nodes it needs at these parameters.
+
+    A cell goes to the next level where the two differ; the largest weighted differences come first, until
+    what is left is negligible or half of the points still to be had are used. Of a large table all cells about
+    the mirror direction are looked at first, and one in every block elsewhere.
+    """
+    grid = problem.samples.grid
+    if grid.rows.shape[0] == 1:
+        return
+    levels = problem.cells.levels
+    tolerance = _NEGLIGIBLE * problem.norm
+    if problem.objective.name == "chi2":
+        tolerance = max(tolerance, _UNNOTICED)
+    dimensions = 2 if grid.exact_rows else 3
+    points = len(levels)
+    chosen = np.arange(len(levels))
+    for level in (1, 2, 3, 4):
+        each = 2 ** (dimensions * level)
+        affordable = (_POINTS - points) // (2 * each)
+        if level > 1:  # sorted: the rest could not be afforded
+            chosen = chosen[:affordable]
+        if affordable <= 0 or len(chosen) == 0:
+            break
+        if len(chosen) > _MANY:
+            error = _sketched(problem, x, coefficients)
+        else:
+            error = _change(problem, x, coefficients, chosen, level)
+        chosen = chosen[_worst(error, tolerance, affordable)]
+        levels[chosen] = level
+        points += each * len(chosen)
+
+
+def _worst(error: Array, tolerance: float, most: int) -> NDArray[np.intp]:
+    """Those without which the sum of the rest is below the tolerance, the largest first; `most` at most."""
+    if len(error) > most:  # only the largest need to be in order
+        largest = np.argpartition(error, len(error) - most)[len(error) - most :]
+    else:
+        largest = np.arange(len(error))
+    order = largest[np.argsort(error[largest])[::-1]]
+    left = error.sum() - np.concatenate([[0.0], np.cumsum(error[order])[:-1]])
+    return order[: int(np.count_nonzero(left > tolerance))]
+
+
+def _sketched(problem: Problem, x: Array, coefficients: Array) -> Array:
+    """The change from level 0 to 1 of all cells: of one in a block taken for the others, if they are smooth."""
+    cells: NDArray[np.int32] = problem.cells.cells
+    first = np.all(cells % np.array(_BLOCK) == 0, axis=1)
+    mirror = problem.samples.grid.near_mirror(cells)
+    block = cells // np.array(_BLOCK)
+    error = np.zeros(block.max(axis=0) + 3)  # a margin, for the neighbours
+    seen = np.flatnonzero(first)
+    error[tuple((block[seen] + 1).T)] = _change(problem, x, coefficients, seen, 1)
+    for axis in range(3):
+        near = np.maximum(np.roll(error, 1, axis), np.roll(error, -1, axis))
+        error = np.maximum(error, _NEIGHBOUR * near)
+    out = error[tuple((block + 1).T)]
+    seen = np.flatnonzero(mirror)
+    out[seen] = _change(problem, x, coefficients, seen, 1)
+    return out
+
+
+def _change(problem: Problem, x: Array, coefficients: Array, chosen: NDArray[np.intp], level: int) -> Array:
+    """What each cell's average at `level` differs from that at the level below, squared and weighted."""
+    shapes = problem.shapes(x)
+    back = problem.coefficients.feedback(shapes.packed)
+    factors = problem.coefficients.factors(coefficients, back)
+    cells: Cells = problem.cells
+    out = np.empty(len(chosen))
+
+    def task(chunk: int) -> None:
+        part = slice(chunk * len(chosen) // _CHUNKS, (chunk + 1) * len(chosen) // _CHUNKS)
+        _changes(
+            *shapes,
+            *cells.nodes,
+            cells.exact_rows,
+            cells.cells,
+            cells.values,
+            cells.weights,
+            cells.cos_i,
+            factors,
+            problem.objective.difference,
+            problem.objective.scale,
+            chosen[part],
+            level,
+            out[part],
+        )
+
+    for_each(task, _CHUNKS)
+    return out
+
+
+@kernel
+def _changes(
+    kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells, values, weights, cos_i, factors,
+    difference, scale, chosen, level, out,
+):  # fmt: skip
+    terms, channels = factors.shape
+    v, before, scratch = np.empty(terms), np.empty(terms), np.empty(1)
+    for m in range(len(chosen)):
+        n = chosen[m]
+        average(
+            kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells[n], level - 1, False,
+            scratch, before,
+        )  # fmt: skip
+        average(
+            kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells[n], level, False, scratch, v
+        )  # fmt: skip
+        out[m] = 0.0
+        for channel in range(channels):
+            low, high = 0.0, 0.0
+            for t in range(terms):
+                low += factors[t, channel] * before[t]
+                high += factors[t, channel] * v[t]
+            w = weights[n, 0 if weights.shape[1] == 1 else channel]
+            if difference != QUADRATIC:
+                _, w, _ = touching(difference, scale, values[n, channel], high, cos_i[n], w)
+            out[m] += w * (high - low) ** 2

@@ -1,0 +1,228 @@
+"""The compiled loop of the fit: over all cells, once, whatever the number of parameters.
+
+A vector v is made for every cell: the averages over the cell of the model's terms, and of their derivatives
+by the shape parameters. What an objective, its gradient and its Gauss-Newton matrix hold of the table are
+sums over cells of w v v', w v r and w r^2 with the residual r, so these are all that is kept: no row of a
+Jacobian is ever stored, and nothing is copied. The residual is formed cell by cell, at coefficients that are
+given, so that nothing cancels where a fit is all but perfect.
+
+v holds the terms of all lobes first, then for every parameter the derivatives of its own lobe's terms.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.models.dispatch import lobe_slopes, lobe_terms
+from gonio.core.jit import kernel
+from gonio.core.parallel import for_each
+
+Array = NDArray[np.float64]
+
+QUADRATIC, LOG, ABSOLUTE_LOG, CUBE_ROOT = range(4)
+"""Which difference is measured: f - g; of ln(1 + f cos_i), squared or its modulus; of (f cos_i)^(1/3)."""
+
+_CHUNK = 2000  # cells at least
+_CHUNKS = 32  # at most; a function of the number of cells only, so that sums do not depend on the threads
+
+
+class Shapes(NamedTuple):
+    """Lobes as the kernel takes them.
+
+    kinds, shape (L,); counts, shape (L, 2), numbers of terms and of parameters; packed, shape (L, SIZE);
+    tangents, shape (L, parameters, SIZE), see `Lobe.tangents`.
+    """
+
+    kinds: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    packed: Array
+    tangents: Array
+
+
+class Cells(NamedTuple):
+    """Cells and what was measured there.
+
+    nodes, three arrays of shape (levels, n, nodes, 3), of rows, rings and sectors; exact_rows; cells, shape
+    (N, 3); levels, shape (N,), see `fitting.grid`; values, shape (N, C); weights, shape (N, C), or (N, 1)
+    where all channels weigh the same; cos_i, shape (N,).
+    """
+
+    nodes: tuple[Array, Array, Array]
+    exact_rows: bool
+    cells: NDArray[np.int32]
+    levels: NDArray[np.int8]
+    values: Array
+    weights: Array
+    cos_i: Array
+
+
+class Moments(NamedTuple):
+    """Sums over cells: objective, shape (C,); right, w v r, shape (C, V); gram, w v v', shape (C, V, V).
+
+    Of a difference that is not quadratic w and r are those of the quadratic that touches it: of the same
+    slope, and of the curvature of its Gauss-Newton matrix.
+    """
+
+    objective: Array
+    right: Array
+    gram: Array
+
+
+def moments(
+    shapes: Shapes, cells: Cells, factors: Array, difference: int, scale: float, slopes: bool
+) -> Moments:
+    """All sums at given shapes and coefficients.
+
+    Parameters
+    ----------
+    shapes : Shapes
+    cells : Cells
+    factors : ndarray, shape (T, C)
+        Of every term.
+    difference : int
+        QUADRATIC, LOG, ABSOLUTE_LOG or CUBE_ROOT.
+    scale : float
+        Where a modulus is rounded off; below which a cube root's slope no longer grows.
+    slopes : bool
+        Whether v holds the derivatives.
+
+    Returns
+    -------
+    Moments
+    """
+    n, channels = cells.values.shape
+    size = int(shapes.counts[:, 0].sum())
+    if slopes:
+        size += int((shapes.counts[:, 0] * shapes.counts[:, 1]).sum())
+    grams = cells.weights.shape[1] if difference == QUADRATIC else channels
+    chunks = max(1, min(_CHUNKS, n // _CHUNK))
+    objective = np.zeros((chunks, channels))
+    right = np.zeros((chunks, channels, size))
+    gram = np.zeros((chunks, grams, size, size))
+
+    def task(chunk: int) -> None:
+        part = slice(chunk * n // chunks, (chunk + 1) * n // chunks)
+        _moments(
+            *shapes,
+            *cells.nodes,
+            cells.exact_rows,
+            cells.cells[part],
+            cells.levels[part],
+            cells.values[part],
+            cells.weights[part],
+            cells.cos_i[part],
+            factors,
+            difference,
+            scale,
+            slopes,
+            objective[chunk],
+            right[chunk],
+            gram[chunk],
+        )
+
+    for_each(task, chunks)
+    lower = gram.sum(axis=0)
+    full = lower + np.swapaxes(np.tril(lower, -1), 1, 2)
+    return Moments(objective.sum(axis=0), right.sum(axis=0), np.broadcast_to(full, (channels, size, size)))
+
+
+@kernel(allocates=False)
+def average(
+    kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cell, level, slopes, scratch, v
+):
+    """The vector v of one cell; `scratch` has the length 2 x the most parameters of a lobe."""
+    i, r, s = cell[0], cell[1], cell[2]
+    nodes = 1 << level
+    row_nodes = 1 if exact_rows else nodes
+    for k in range(len(v)):
+        v[k] = 0.0
+    first_slope = 0
+    for k in range(len(kinds)):
+        first_slope += counts[k, 0]
+    for a in range(row_nodes):
+        wi = (rows[level, i, a, 0], 0.0, rows[level, i, a, 1])
+        for b in range(nodes):
+            sine, cosine = rings[level, r, b, 0], rings[level, r, b, 1]
+            weight = rows[level, i, a, 2] * rings[level, r, b, 2]
+            for c in range(nodes):
+                wo = (sine * sectors[level, s, c, 1], sine * sectors[level, s, c, 0], cosine)
+                w = weight * sectors[level, s, c, 2]
+                term, slope = 0, first_slope
+                for k in range(len(kinds)):
+                    values = lobe_terms(kinds[k], packed[k], wi, wo)
+                    v[term] += w * values[0]
+                    if counts[k, 0] == 2:
+                        v[term + 1] += w * values[1]
+                    term += counts[k, 0]
+                    if not slopes or counts[k, 1] == 0:
+                        continue
+                    if values[0] == 0.0 and values[1] == 0.0:  # nothing here, nor near here
+                        slope += counts[k, 0] * counts[k, 1]
+                        continue
+                    lobe_slopes(kinds[k], packed[k], tangents[k], wi, wo, values, scratch)
+                    for j in range(counts[k, 1]):
+                        v[slope] += w * scratch[2 * j]
+                        if counts[k, 0] == 2:
+                            v[slope + 1] += w * scratch[2 * j + 1]
+                        slope += counts[k, 0]
+
+
+@kernel
+def _moments(
+    kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells, levels, values, weights, cos_i,
+    factors, difference, scale, slopes, objective, right, gram,
+):  # fmt: skip
+    size, terms, channels = right.shape[1], factors.shape[0], values.shape[1]
+    v, scratch = np.empty(size), np.empty(2 * tangents.shape[1])
+    shared = weights.shape[1] == 1
+    for n in range(len(cells)):
+        level = np.int64(levels[n])
+        average(
+            kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells[n], level, slopes, scratch, v
+        )  # fmt: skip
+        for channel in range(channels):
+            model = 0.0
+            for t in range(terms):
+                model += factors[t, channel] * v[t]
+            w = weights[n, 0 if shared else channel]
+            r = values[n, channel] - model
+            if difference == QUADRATIC:
+                objective[channel] += w * r * r
+            else:
+                value, w, r = touching(difference, scale, values[n, channel], model, cos_i[n], w)
+                objective[channel] += value
+            wr = w * r
+            for j in range(size):
+                right[channel, j] += wr * v[j]
+            if channel < gram.shape[0]:
+                for j in range(size):
+                    wv = w * v[j]
+                    for k in range(j + 1):
+                        gram[channel, j, k] += wv * v[k]
+
+
+@kernel(allocates=False)
+def touching(difference, scale, measured, model, cos_i, weight):
+    """The objective of one value, and weight and residual of the quadratic that touches it there.
+
+    For a difference d = h(f) - h(g): w d^2 has the slope -2 w h' d and the Gauss-Newton curvature
+    2 w h'^2, as w h'^2 (d/h' - (g' - g))^2 has; the modulus of d is sqrt(d^2 + scale^2), of slope d/sqrt,
+    and of the curvature by which iteratively re-weighted least squares never step too far.
+    """
+    # noise and interpolation leave values just below 0, where the logarithm and the root mean nothing
+    f, g = max(0.0, measured * cos_i), max(0.0, model * cos_i)
+    if difference == CUBE_ROOT:
+        root = np.cbrt(max(g, scale))
+        d = np.cbrt(f) - np.cbrt(g)
+        slope = cos_i / (3.0 * root * root)
+        return weight * d * d, weight * slope * slope, d / slope
+    d = math.log1p(f) - math.log1p(g)
+    slope = cos_i / (1.0 + g)
+    if difference == LOG:
+        return weight * d * d, weight * slope * slope, d / slope
+    modulus = math.sqrt(d * d + scale * scale)
+    return weight * modulus, 0.5 * weight * slope * slope / modulus, d / slope

@@ -1,0 +1,52 @@
+"""The content of a compressed table in HDF5: arrays, numbers, text, and arrays that a filter packs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Filtered(NamedTuple):
+    """An array and the HDF5 filter it is to be stored through."""
+
+    data: NDArray
+    options: Mapping[str, Any]
+    """Keywords of `h5py.Group.create_dataset` that name the filter."""
+
+    def create(self, group: h5py.Group, name: str) -> None:
+        """Write it as a dataset of one chunk, with a checksum over what the filter made of it."""
+        group.create_dataset(name, data=self.data, chunks=self.data.shape, fletcher32=True, **self.options)
+
+    def through(self) -> NDArray:
+        """What a file would give back."""
+        with _memory() as file:
+            self.create(file, "array")
+            file.flush()
+            return file["array"][()]
+
+
+def write_content(group: h5py.Group, content: Mapping[str, Any]) -> None:
+    """Write arrays as datasets, numbers and text as attributes."""
+    for name, item in content.items():
+        if isinstance(item, Filtered):
+            item.create(group, name)
+        elif isinstance(item, np.ndarray):
+            group[name] = item
+        else:
+            group.attrs[name] = item
+
+
+def stored_bytes(content: Mapping[str, Any]) -> int:
+    """Bytes that the arrays of the content take in a file, without HDF5's own book-keeping."""
+    with _memory() as file:
+        write_content(file, content)
+        file.flush()
+        return sum(dataset.id.get_storage_size() for dataset in file.values())
+
+
+def _memory() -> h5py.File:
+    return h5py.File("memory", "w", driver="core", backing_store=False)

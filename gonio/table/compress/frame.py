@@ -1,0 +1,281 @@
+"""What methods on arrays have in common: a table as an array of equal importance, and the way back.
+
+The values are weighted so that the plain L2 norm of a row is its error measure, and divided by the error the
+row is allowed. An error made anywhere in that array then costs the same, and one number, a step of
+quantisation or a pointwise bound, serves all of it.
+
+Setting negative values to 0 brightens what is dark and noisy, and cosine weighting lets that pass near the
+horizon: a bright rim around a rendered sphere. So the mean of every ring of cells (theta_i, theta_r), known
+better than its cells, is stored in fine logarithmic steps, and restored. Last, each row is scaled to
+re-integrate to its albedo. A table with negative values, colours outside the gamut, gets neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.core.directions import projected_solid_angles
+from gonio.table.compress.metric import cosine_weights, excess, reference_norms
+from gonio.table.compress.packing import pack, signed, signless, unpack
+from gonio.table.table import Table
+from microgeometry.errors import InputError
+
+Array = NDArray[np.float64]
+
+_RING_STEP = 0.01  # relative, of the stored means of rings
+_MAX_VALUES = 2**28  # 2 GiB of float64: what a damaged file may make us allocate at most
+_TRIALS = 8
+_NEAR = 0.02
+
+
+@dataclass(frozen=True)
+class Frame:
+    """From values, shape (I, R, P, C), to the array of equal importance of the same shape, and back.
+
+    Parameters
+    ----------
+    scale : ndarray, shape (I, C)
+        Error allowed in a row, in the norm of the metric; 0 for dark rows.
+    theta_r_edges, delta_phi_edges : ndarray
+        Of the table.
+    target : ndarray, shape (I, C), or None
+        Reflectance each row is scaled to; None where cells do not add up to the albedo.
+    gaps : ndarray, shape (I, R, P), or None
+    codes, ring_floor, ring_step
+        Means over delta phi of the rings, shape (I, R, C), as they are stored; `codes` is None where values
+        may be negative.
+    base : ndarray, shape (I, R, P, C), or None
+        What the array is added to: the part of the values that a model gives.
+    """
+
+    scale: Array
+    theta_r_edges: Array
+    delta_phi_edges: Array
+    target: Array | None
+    gaps: NDArray[np.bool_] | None
+    codes: NDArray[np.int64] | None
+    ring_floor: float
+    ring_step: float
+    base: Array | None = None
+
+    @classmethod
+    def of(cls, table: Table, bounds: Array, base: Array | None = None) -> Frame:
+        """The frame of a table whose rows may err by `bounds`, shape (I, C), of their norms."""
+        weights = cosine_weights(table.theta_r_edges, table.delta_phi_edges)
+        # float32 is what the file holds; the encoder works with the same numbers
+        scale = (reference_norms(table.values, weights) * bounds).astype(np.float32).astype(float)
+        total = np.einsum("irpc,rp->ic", table.values, table.projected_solid_angles)
+        target = table.row_albedo - table.specular
+        # where the albedo is not that of the cells, scaling to it would not restore them
+        consistent = bool(np.allclose(total, target, rtol=1e-9, atol=1e-12))
+        codes, floor, step = None, 0.0, min(_RING_STEP, 0.5 * float(bounds.min()))
+        if table.values.min() >= 0:
+            means = _ring_means(table.values, table.projected_solid_angles)
+            floor = float(np.min(means, initial=np.inf, where=means > 0))
+            codes, floor = _ring_codes(means, floor, step), floor if np.isfinite(floor) else 0.0
+        return cls(
+            scale,
+            table.theta_r_edges,
+            table.delta_phi_edges,
+            target if consistent else None,
+            table.gaps,
+            codes,
+            floor,
+            step,
+            base,
+        )
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any], fields: Mapping[str, Any], base: Array | None = None) -> Frame:
+        """The frame from a file's content and the table's other fields.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError, OSError, EOFError
+            Content that is missing, damaged, or does not fit the axes.
+        """
+        rows, rings, _, channels = shape_of(fields)
+        scale = np.asarray(content["scale"], float)
+        if scale.shape != (rows, channels) or not np.all(np.isfinite(scale)):
+            raise ValueError(f"scale of shape {scale.shape} for {(rows, channels)}, or not finite")
+        codes, floor, step = None, 0.0, 0.0
+        if "rings" in content:
+            flat = signed(unpack(content["rings"], rows * rings * channels))
+            codes = _sums(flat.reshape(rows, rings, channels))
+            floor, step = float(content["ring_floor"]), float(content["ring_step"])
+            highest = np.log(max(floor, 1e-300)) + codes.max() * np.log1p(step) if 0 < step < 1 else np.inf
+            if not (floor >= 0 and np.all(codes >= 0) and highest < 700):
+                raise ValueError("ring means that are not positive numbers")
+        target = None
+        if bool(content["rescaled"]):
+            target = np.asarray(fields["row_albedo"], float) - fields.get("specular", 0.0)
+            if target.shape != scale.shape:
+                raise ValueError(f"albedo of shape {target.shape} for {scale.shape}")
+        edges = fields["theta_r_edges"], fields["delta_phi_edges"]
+        return cls(scale, *edges, target, fields.get("gaps"), codes, floor, step, base)
+
+    def content(self) -> dict[str, Any]:
+        """What `read` needs from the file."""
+        content: dict[str, Any] = {
+            "scale": self.scale.astype(np.float32),
+            "rescaled": self.target is not None,
+        }
+        if self.codes is not None:
+            content["rings"] = pack(signless(_differences(self.codes)))
+            content.update(ring_floor=self.ring_floor, ring_step=self.ring_step)
+        return content
+
+    def normalise(self, values: Array) -> Array:
+        """The array of equal importance."""
+        inverse = np.divide(1.0, self.scale, out=np.zeros_like(self.scale), where=self.scale > 0)
+        rest = values if self.base is None else values - self.base
+        return rest * self._weights[:, :, None] * inverse[:, None, None]
+
+    def restore(self, array: Array) -> Array:
+        """Back to values: not negative, 0 in gaps, with the means of their rings, adding up to the albedo.
+
+        Values are not negative, so setting negative ones to 0 can only bring them closer to the original.
+        """
+        values = array / self._weights[:, :, None] * self.scale[:, None, None]
+        return self.correct(values if self.base is None else values + self.base)
+
+    def correct(self, values: Array) -> Array:
+        """The last steps of `restore`, for values from elsewhere."""
+        areas = projected_solid_angles(self.theta_r_edges, self.delta_phi_edges)
+        if self.codes is not None:
+            values = np.maximum(values, 0.0)
+            rings = _rings(self.codes, self.ring_floor, self.ring_step)
+            means = _ring_means(values, areas)
+            values *= np.divide(rings, means, out=np.ones_like(means), where=means > 0)[:, :, None, :]
+            values += np.where((means == 0) & (rings > 0), rings, 0.0)[:, :, None, :]
+        if self.gaps is not None:
+            values[np.asarray(self.gaps, bool)] = 0.0
+        if self.target is not None:
+            total = np.einsum("irpc,rp->ic", values, areas)
+            factor = np.divide(self.target, total, out=np.ones_like(total), where=total != 0)
+            # of values of both signs the sum may cancel: scaling to it would do harm
+            factor[(np.abs(factor - 1) > _NEAR) if self.codes is None else (factor < 0)] = 1.0
+            values *= factor[:, None, None]
+        return values
+
+    @property
+    def _weights(self) -> Array:
+        return cosine_weights(self.theta_r_edges, self.delta_phi_edges)
+
+
+Prepare = Callable[[Frame], Callable[[float], Array]]
+
+
+def hold(
+    table: Table, bounds: Array, prepare: Prepare, quick: bool = False, base: Array | None = None
+) -> tuple[Frame, float]:
+    """Find the coarsest step whose approximation holds the bounds of all rows.
+
+    Parameters
+    ----------
+    table : Table
+    bounds : ndarray, shape (I, C)
+        Relative error allowed in each row and channel.
+    prepare : callable
+        From a frame to a function from a step to the values the decoder will return.
+    quick : bool
+        Look for the step to 20 % only, enough to compare methods by.
+    base : ndarray, optional
+        Of the frame.
+
+    Returns
+    -------
+    frame : Frame
+    step : float
+
+    Raises
+    ------
+    InputError
+        No step holds the bounds.
+    """
+    frame = Frame.of(table, bounds, base)
+    decoded = prepare(frame)
+
+    def worst(step: float) -> float:
+        return float(excess(table, decoded(step), bounds).max())
+
+    return frame, _largest(worst, 0.1, 1.2 if quick else 1.02)
+
+
+def _largest(worst: Callable[[float], float], step: float, tolerance: float) -> float:
+    """The largest step found, to a factor, at which `worst`, an error over its bound, is at most 1.
+
+    The error grows smoothly with the step, roughly as its power: a secant on logarithms, kept in brackets.
+    """
+    low, high, failures = 0.0, np.inf, 0
+    for trial in range(40):
+        error = worst(step)
+        if error <= 1.0:
+            low, failures = step, 0
+        else:
+            high, failures = step, failures + 1
+        if low > 0 and (high / low < tolerance or trial >= _TRIALS):
+            return low
+        guess = step * (0.98 / max(error, 1e-3)) ** 0.8
+        if not low < guess < high or (failures >= 2 and low > 0):
+            # against noise the error hardly depends on the step: then halve the bracket
+            if low > 0:
+                guess = np.sqrt(low * high) if np.isfinite(high) else 2 * low
+            else:
+                guess = high / 4
+        step = float(guess)
+    raise InputError("max_error: no step of quantisation holds it")
+
+
+def shape_of(fields: Mapping[str, Any]) -> tuple[int, int, int, int]:
+    """Shape of the values, from a table's other fields.
+
+    Raises
+    ------
+    ValueError
+        More values than any file may ask for, or none.
+    """
+    shape = (
+        len(fields["theta_i"]),
+        len(fields["theta_r_edges"]) - 1,
+        len(fields["delta_phi_edges"]) - 1,
+        len(fields["channels"]),
+    )
+    if min(shape) <= 0 or np.prod(shape, dtype=float) > _MAX_VALUES:
+        raise ValueError(f"a table of shape {shape}")
+    return shape
+
+
+def _ring_means(values: Array, areas: Array) -> Array:
+    """Mean over delta phi of every ring of cells, shape (I, R, C)."""
+    return np.einsum("irpc,rp->irc", values, areas / areas.sum(axis=1, keepdims=True))
+
+
+def _ring_codes(means: Array, floor: float, step: float) -> NDArray[np.int64]:
+    """Means in logarithmic steps above the smallest, from 1; 0 where the mean is 0."""
+    lit = means > 0
+    steps = np.log(np.divide(means, floor, out=np.ones_like(means), where=lit)) / np.log1p(step)
+    return np.where(lit, 1 + np.rint(steps), 0).astype(np.int64)
+
+
+def _rings(codes: NDArray[np.int64], floor: float, step: float) -> Array:
+    """Means from their codes."""
+    return np.where(codes > 0, floor * np.exp((np.maximum(codes, 1) - 1) * np.log1p(step)), 0.0)
+
+
+def _differences(codes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Small numbers for smooth tables: from ring to ring, and of each channel from the first."""
+    codes = np.concatenate([codes[..., :1], codes[..., 1:] - codes[..., :1]], axis=-1)
+    return np.diff(codes, axis=1, prepend=0)
+
+
+def _sums(differences: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The inverse of `_differences`."""
+    codes = np.cumsum(differences, axis=1)
+    codes[..., 1:] += codes[..., :1]
+    return codes

@@ -1,0 +1,41 @@
+"""What a table knows of a row as a whole, interpolated between rows: albedo and the delta term."""
+
+from __future__ import annotations
+
+from gonio.core.jit import kernel
+from gonio.table.interpolation import locate_row
+from gonio.table.pool import N_CHANNELS, ROWS
+
+
+@kernel(allocates=False)
+def _row_quantity(pool, t, cos_i, column, out):
+    n = pool.header[t, N_CHANNELS]
+    a, b, w = locate_row(pool, t, 1.0 - cos_i * cos_i)
+    first = pool.header[t, ROWS] + 1 + column * n
+    for c in range(n):
+        at_a = pool.rows[first + a * (1 + 3 * n) + c]
+        at_b = pool.rows[first + b * (1 + 3 * n) + c]
+        out[c] = (1.0 - w) * at_a + w * at_b if cos_i >= 0.0 else 0.0
+
+
+@kernel(allocates=False)
+def albedo_table(pool, t, cos_i, out):
+    """Directional-hemispherical reflectance without the delta term, which `eval_table` integrates to.
+
+    Parameters
+    ----------
+    pool : Pool
+    t : int
+        Which table of the pool.
+    cos_i : float
+        Cosine of the angle of incidence; below 0 the reflectance is 0.
+    out : ndarray, shape (C,)
+        Receives the reflectance per channel.
+    """
+    _row_quantity(pool, t, cos_i, 1, out)
+
+
+@kernel(allocates=False)
+def specular_table(pool, t, cos_i, out):
+    """Reflectance into exactly the mirror direction (the delta term); arguments as `albedo_table`."""
+    _row_quantity(pool, t, cos_i, 2, out)

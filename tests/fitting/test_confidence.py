@@ -1,0 +1,96 @@
+"""Intervals cover the truth as often as they say, and a wrong model is told from a right one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from fitting import Fit, fit
+from gonio.table.table import Table
+
+from .materials import counted, gold, grid, material
+
+pytestmark = pytest.mark.compiled
+
+TRUTH = gold(0.3)
+TWO = material(
+    "ggx+ggx+lambert",
+    ("ggx", {"alpha": 0.1}, {"f0": (0.3, 0.2, 0.1), "f90": (1.0, 0.9, 0.8)}),
+    ("ggx", {"alpha": 0.5}, {"f0": (0.3, 0.4, 0.2), "f90": (0.5, 0.9, 0.8)}),
+    ("lambert", {}, {"albedo": (0.2, 0.1, 0.05)}),
+)
+
+
+def alike(table: Table, paths: float, rng: np.random.Generator) -> Table:
+    """Channels of a traced table share their paths, so that their noise is nearly the same."""
+    per_hit = 1.0 / (paths / len(table.theta_i) * table.projected_solid_angles[None, :, :, None])
+    most = table.values.max(axis=-1, keepdims=True)
+    hits = rng.poisson(most / per_hit)
+    share = np.divide(table.values, most, out=np.zeros_like(table.values), where=most > 0)
+    error = np.sqrt(np.where(hits > 0, hits, 9.0)) * per_hit * share
+    return table.replace(values=hits * per_hit * share, std_error=error, hits=hits[..., 0])
+
+
+def scattered(table: Table, _paths: float, rng: np.random.Generator) -> Table:
+    """Errors in proportion to the value, and nothing known of them."""
+    return table.replace(values=table.values * (1.0 + 0.1 * rng.standard_normal(table.values.shape)))
+
+
+def covered(truth: Fit, noise: Callable, runs: int, **options: str) -> np.ndarray:
+    """Which intervals held the true number, shape (runs, unknowns)."""
+    table = truth.table(grid(8, 24, 40))
+    rng = np.random.default_rng(20)
+    out = []
+    for _ in range(runs):
+        found = fit(noise(table, 400_000, rng), truth.model, **options)
+        lobes = sorted(range(len(found.lobes)), key=lambda n: found.lobes[n].parameters.get("alpha", 9.0))
+        order = {n: place for place, n in enumerate(lobes)}
+        assert found.confidence is not None
+        row = {}
+        for of in found.confidence["parameters"]:
+            lobe = truth.lobes[order[of["lobe"]]]
+            if of["channel"] is None:
+                true = lobe.parameters[of["name"]]
+            else:
+                true = lobe.coefficients[of["name"]][of["channel"]]
+            row[order[of["lobe"]], of["name"], of["channel"]] = of["lower"] <= true <= of["upper"]
+        out.append([row[key] for key in sorted(row, key=str)])
+    return np.array(out)
+
+
+@pytest.mark.parametrize("noise", [counted, alike], ids=["independent", "alike"])
+def test_intervals_hold_the_truth(noise: Callable) -> None:
+    held = covered(TRUTH, noise, 12)
+    # 120 intervals that share their noise ten by ten: even 12 independent ones miss 4 of 12 once in 5000
+    assert held.mean() > 8 / 12
+    assert held.shape == (12, 10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("truth", "noise", "options"),
+    [
+        (TRUTH, counted, {}),
+        (TRUTH, alike, {}),
+        (TRUTH, scattered, {}),
+        (TRUTH, scattered, {"objective": "low_log"}),
+        (TRUTH, scattered, {"objective": "nbrdf"}),
+        (TWO, counted, {}),
+    ],
+    ids=["independent", "alike", "scattered", "low_log", "nbrdf", "two lobes"],
+)
+def test_intervals_cover_93_to_97_percent(truth: Fit, noise: Callable, options: dict) -> None:
+    runs = 200
+    held = covered(truth, noise, runs, **options)
+    # each unknown's count is binomial: none may be further from 95 % than chance lets one of so many be
+    chance = 0.001 / held.shape[1]
+    low, high = stats.binom.ppf([0.5 * chance, 1.0 - 0.5 * chance], runs, 0.95) / runs
+    print("coverage", held.mean(axis=0), held.mean())
+    assert held.mean(axis=0).min() >= low
+    assert held.mean(axis=0).max() <= high
+    # the mean over the unknowns, whose errors are correlated: its own scatter over runs
+    error = held.mean(axis=1).std() / np.sqrt(runs)
+    assert 0.93 - 2.0 * error <= held.mean() <= 0.97 + 2.0 * error
