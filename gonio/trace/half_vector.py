@@ -32,9 +32,9 @@ Array = NDArray[np.float64]
 
 _GROUPS = 64  # batches are kept apart in that many groups at most
 _FRESNEL = 1024
-_FINE_SPREAD = math.radians(1.2)  # of theta_h, per point of the quadrature along theta
+_RESOLUTION = 0.2  # of alpha: what a point of the quadrature stands for at most, and at least 1 degree
+_FINE_SPREAD = 1.2  # of theta_h over a cell, of the resolution times its points along theta
 _LEVELS = 10
-_GAUSS = math.sqrt(3.0)  # an interval over the distance of its two Gauss points
 
 
 class HalfVector:
@@ -139,20 +139,24 @@ class HalfVector:
             Sum over cells of value times projected solid angle, and its standard error from batches.
         """
         alpha = self._nodes.alpha
-        model = self._model()
+        resolution = max(math.radians(1.0), _RESOLUTION * alpha)
+        points = _points(theta_r_edges, resolution)
+        # D is averaged over the tilts between two points, but over no more than hardly bends it
+        between = min(0.5 * float(np.diff(theta_r_edges).max()) / points, 0.1 * alpha)
+        model = self._model(max(1, round(between / STEP)))
 
         def rules(finer: int) -> tuple[Rule, Rule, Rule]:
-            polar = finer * _points(theta_r_edges)
+            polar = finer * points
             return (
                 point_rule(theta_i, alpha)
                 if theta_i_edges is None
                 else polar_rule(theta_i_edges, polar, alpha),
                 polar_rule(theta_r_edges, polar, alpha),
-                azimuth_rule(delta_phi_edges, finer * _points(delta_phi_edges)),
+                azimuth_rule(delta_phi_edges, finer * _points(delta_phi_edges, resolution)),
             )
 
         fast, fine = rules(1), rules(4)
-        coarse = _FINE_SPREAD * _points(theta_r_edges)
+        coarse = _FINE_SPREAD * resolution * points
         rows, cells, channels = len(theta_i), len(omega), self._fresnel.shape[1]
         values, std_error = np.zeros((2, rows, cells, channels))
         by_tilt = np.zeros((rows, BINS, channels))
@@ -166,13 +170,12 @@ class HalfVector:
         for_each(average, rows, threads)
         return values, std_error, by_tilt.sum(1), self._energy_error(by_tilt, by_node)
 
-    def _model(self) -> Model:
-        """Means over all batches, and how much they differ between groups of these."""
+    def _model(self, width: int) -> Model:
+        """Means over all batches, D over so many bins of tilt, and how much they differ between groups of batches."""
         count, area, window, seen = self._groups()
         n = len(count)
         edges = STEP * np.arange(BINS + 1)
         solid_angle = 2.0 * math.pi * -np.diff(np.cos(edges))
-        width = self._width()
         density = _moving_sum(area.sum(0), width) / self.batches / _moving_sum(solid_angle, width)
         density_change = np.stack(
             [_deviations(_moving_sum(area, 2**level), count) for level in range(_LEVELS)]
@@ -192,14 +195,6 @@ class HalfVector:
             rho, count, np.ascontiguousarray(np.moveaxis(density_change, 1, 2)),
             np.ascontiguousarray(np.moveaxis(rho_change, 0, 3)),
         )  # fmt: skip
-
-    def _width(self) -> int:
-        """Bins of tilt to average D over: as many as lie between two points of the quadrature of a 1-degree cell.
-
-        A tenth of alpha at most, over which D hardly bends.
-        """
-        between = 0.5 * math.radians(1.0) / _GAUSS
-        return max(1, int(min(between, 0.1 * self._nodes.alpha) / STEP))
 
     def _groups(self) -> tuple[Array, Array, Array, Array]:
         """Batches of each group in use, and their sums: area by tilt, area in the windows, of that what is seen."""
@@ -243,9 +238,9 @@ def _moving_sum(a: Array, width: int) -> Array:
     return total[..., high] - total[..., low]
 
 
-def _points(edges: Array) -> int:
-    """Points of a quadrature over intervals this wide: one a degree, at least 2."""
-    return max(2, math.ceil(math.degrees(float(np.max(np.diff(edges)))) - 1e-6))
+def _points(edges: Array, resolution: float) -> int:
+    """Points of a quadrature over intervals this wide, at least 2."""
+    return max(2, math.ceil(float(np.max(np.diff(edges))) / resolution - 1e-6))
 
 
 def _reflectance(optics: Optics, samples: int) -> Array:
