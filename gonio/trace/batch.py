@@ -15,7 +15,7 @@ from gonio.trace.analog import Beam, Bins, Part, Sums
 from gonio.trace.estimators import ANALOG, HALF_VECTOR, roughness
 from gonio.trace.facets import measure_facets
 from gonio.trace.half_vector import HalfVector
-from gonio.trace.remainder import block_steps_deg
+from gonio.trace.remainder import block_size
 from gonio.trace.tally import Tally, new_accumulators
 from gonio.trace.tracer import Surface, Tracer
 from microgeometry.specimen import Specimen
@@ -96,10 +96,11 @@ class BatchTracer:
         self.tracer = Tracer(job.specimen, job.seed, self.paths_per_pass)
         self.alpha = roughness(self.tracer) if job.estimator == HALF_VECTOR else None
         self._orders = grid.orders if self.alpha is None else max(2, grid.orders)
-        steps = grid.theta_step_deg, grid.phi_step_deg
-        theta_step, phi_step = steps if self.alpha is None else block_steps_deg(self.alpha, *steps)
-        self.bin_theta_edges = np.radians(np.linspace(0, 90, round(90 / theta_step) + 1))
-        self.bin_phi_edges = np.radians(np.linspace(0, 180, round(180 / phi_step) + 1))
+        merged = (1, 1) if self.alpha is None else block_size(self.alpha, *self.areas.shape)
+        self.bin_theta_edges, self.bin_phi_edges = (
+            self.theta_edges[:: merged[0]],
+            self.phi_edges[:: merged[1]],
+        )
         self.bin_areas = projected_solid_angles(self.bin_theta_edges, self.bin_phi_edges)
         self._bins = Bins(
             axis(np.sin(self.bin_theta_edges) ** 2),

@@ -1,7 +1,8 @@
 """Single bounces by their half vectors, and what bounces more by binning, in the cells of one table.
 
 The orders are scaled, row by row, to the energies that the paths counted: these hold less noise than a
-histogram of tilts, and all orders add up to the row's albedo.
+histogram of tilts, and all orders add up to the row's albedo. Single bounces are held to the paths in each block
+of cells as well, where the paths are many enough.
 """
 
 from __future__ import annotations
@@ -79,7 +80,8 @@ def combine(
     )  # fmt: skip
     estimates = [(values.reshape(shape), std_error.reshape(shape))]
     counted = tally.orders[0]
-    estimates += [_spread(sheet, batches) for sheet in counted[1:]]
+    estimates[0] = _anchor(*estimates[0], counted[0], batches)
+    estimates += [_spread(sheet, tally.rows.paths, batches) for sheet in counted[1:]]
     orders = [
         Combined(*_scale(values, std_error, sheet, batches.areas), sheet)
         for (values, std_error), sheet in zip(estimates, counted, strict=True)
@@ -90,6 +92,41 @@ def combine(
     return Combined(total, error, tally.totals[0]), list(orders)
 
 
+def _anchor(
+    values: Array, std_error: Array, counted: SheetTally, batches: BatchTracer
+) -> tuple[Array, Array]:
+    """Half vectors give the cells of a block, and paths their sum as far as these know it better.
+
+    Near the horizon, where few facets see out, many paths may. A block's factor is 1 + w (counted / estimated - 1),
+    with the weight w from relative variances: the estimate's own, and 1 over the paths it expects. It does not ask
+    how many there were, which would prefer blocks that few happened to reach.
+    """
+    areas = batches.areas
+    shape = values.shape
+    rings, sectors = batches.bin_areas.shape
+    blocks = shape[0], rings, shape[1] // rings, sectors, shape[2] // sectors, shape[3]
+
+    def total(a: Array) -> Array:
+        return (a * areas[..., None]).reshape(blocks).sum(axis=(2, 4))
+
+    estimated = total(values)
+    known = np.where(estimated > 0, estimated, 1.0)
+    own = np.where(estimated > 0, total(std_error) / known, 0.0) ** 2  # as if cells of a block erred alike
+    found, found_error = (a * batches.bin_areas[..., None] for a in counted.cells(batches.bin_areas))
+    energy = counted.energies()[0]
+    paths = counted.hits.sum(axis=1)[:, None] / np.where(energy > 0, energy, np.inf)  # for a unit of energy
+    poisson = 1.0 / np.maximum(estimated * paths[:, None, None, :], 1e-300)
+    weight = np.where((estimated > 0) & (own > 0), own / (own + poisson), 0.0)
+    factor = 1.0 + weight * (found / known - 1.0)
+    variance = (1.0 - weight) ** 2 * own + (weight * np.maximum(found_error / known, 0.0)) ** 2
+    shrink = np.sqrt(np.where(own > 0, variance / np.where(own > 0, own, 1.0), 1.0))
+
+    def spread_out(a: Array) -> Array:
+        return np.repeat(np.repeat(a, blocks[2], axis=1), blocks[4], axis=2)
+
+    return values * spread_out(factor), std_error * spread_out(shrink)
+
+
 def _scale(values: Array, std_error: Array, counted: SheetTally, areas: Array) -> tuple[Array, Array]:
     energy = np.einsum("irpc,rp->ic", values, areas)
     factor = np.where(energy > 0, counted.energies()[0] / np.where(energy > 0, energy, 1.0), 1.0)
@@ -97,9 +134,19 @@ def _scale(values: Array, std_error: Array, counted: SheetTally, areas: Array) -
     return values * factor, std_error * factor
 
 
-def _spread(sheet: SheetTally, batches: BatchTracer) -> tuple[Array, Array]:
-    """From blocks to cells."""
+def _spread(sheet: SheetTally, paths: NDArray[np.int64], batches: BatchTracer) -> tuple[Array, Array]:
+    """From blocks to cells; `paths` were traced in each row."""
     values, std_error = sheet.cells(batches.bin_areas)
+    # Alone, an empty block may hold up to three paths. Here it is one term of a sum, and its error what blocks like
+    # it scatter: the square root of their mean.
+    hits = sheet.hits.reshape(values.shape[:3])
+    total = hits.sum(axis=(1, 2))
+    weight = sheet.energies()[0] * (paths / np.maximum(total, 1))[:, None]  # mean of a path's
+    mean = np.maximum(hits.mean(axis=2, keepdims=True), (total[:, None, None] + 1) / hits[0].size)
+    scatter = (
+        np.sqrt(mean)[..., None] * (weight / paths[:, None])[:, None, None] / batches.bin_areas[..., None]
+    )
+    std_error = np.where((hits == 0)[..., None], scatter, std_error)
     variance = std_error**2
     theta_r, delta_phi = (0.5 * (e[1:] + e[:-1]) for e in (batches.theta_edges, batches.phi_edges))
     theta_i = None

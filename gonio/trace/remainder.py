@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 _BLOCKS = (0.8, 3.0, 6.0), (0.45, 2.0, 3.0)
 
 
-def block_steps_deg(alpha: float, theta_step_deg: float, phi_step_deg: float) -> tuple[float, float]:
-    """Steps of theta and delta phi of the blocks, at least those of the table's cells.
+def block_size(alpha: float, rings: int, sectors: int) -> tuple[int, int]:
+    """Cells of a table (rings x sectors) that make up a block, along theta_r and delta phi; divisors of these.
 
     Below alpha 0.45 the blocks are the cells: at grazing angles light of several bounces is as narrow there as that
     of one. Measured with 7 million paths a row: blocks of 3 x 6 degrees are within the noise of a cell up to 85
@@ -29,8 +29,13 @@ def block_steps_deg(alpha: float, theta_step_deg: float, phi_step_deg: float) ->
     """
     for least, theta, phi in _BLOCKS:
         if alpha >= least:
-            return max(theta, theta_step_deg), max(phi, phi_step_deg)
-    return theta_step_deg, phi_step_deg
+            return _divisor(rings, theta * rings / 90.0), _divisor(sectors, phi * sectors / 180.0)
+    return 1, 1
+
+
+def _divisor(n: int, wanted: float) -> int:
+    """Largest divisor of n that is at most `wanted`, or 1."""
+    return max((d for d in range(1, n + 1) if n % d == 0 and d <= wanted + 1e-9), default=1)
 
 
 def spread(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gonio.trace.remainder import block_steps_deg, spread
+from gonio.trace.remainder import block_size, spread
 
 THETA = np.radians(np.arange(0, 90.1, 3.0))
 PHI = np.radians(np.arange(0, 180.1, 6.0))
@@ -71,8 +71,9 @@ def test_error_bars_are_those_of_noisy_blocks():
     assert np.mean(scatter / error**2) == pytest.approx(1, abs=0.1)
 
 
-def test_blocks_shrink_with_roughness_and_are_never_smaller_than_cells():
-    assert block_steps_deg(1.0, 1.0, 1.0) == (3.0, 6.0)
-    assert block_steps_deg(0.5, 1.0, 1.0) == (2.0, 3.0)
-    assert block_steps_deg(0.2, 1.0, 1.0) == (1.0, 1.0)
-    assert block_steps_deg(1.0, 5.0, 10.0) == (5.0, 10.0)
+def test_blocks_shrink_with_roughness_and_are_whole_cells():
+    assert block_size(1.0, 90, 180) == (3, 6)
+    assert block_size(0.5, 90, 180) == (2, 3)
+    assert block_size(0.2, 90, 180) == (1, 1)
+    assert block_size(1.0, 18, 18) == (1, 1)
+    assert block_size(1.0, 40, 80) == (1, 2)
