@@ -15,6 +15,7 @@ from gonio.progress import progress_bar
 from gonio.summary import summary, summary_text
 from gonio.table.table import Table
 from gonio.trace.checkpoint import EVERY, Checkpoint
+from gonio.trace.estimators import ESTIMATORS
 
 _PATH = click.Path(path_type=Path)
 _OUT = click.option("-o", "--out", required=True, type=_PATH, help="File to write.")
@@ -34,7 +35,11 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON obj
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Same seed, same bits.")
 @click.option("--threads", type=int, help="Default: all processors. Does not change the result.")
-@click.option("--estimator", type=click.Choice(["analog"]), default="analog", show_default=True)
+@click.option(
+    "--estimator",
+    type=click.Choice(ESTIMATORS),
+    help="Default: the best that applies. analog bins every path, and does for all specimens.",
+)
 @click.option("--resume", is_flag=True, help="Go on from OUT.checkpoint, if an unfinished run left one.")
 @click.option(
     "--checkpoint",
@@ -53,7 +58,7 @@ def trace(
     target_error: float | None,
     seed: int,
     threads: int | None,
-    estimator: str,
+    estimator: str | None,
     resume: bool,
     every: float,
     dask: str | None,
@@ -67,7 +72,7 @@ def trace(
     from microgeometry.specimen import load_specimen
 
     formats.check_target(out)
-    measurement = start(load_specimen(spec), rays, seconds, seed, threads, target_error)
+    measurement = start(load_specimen(spec), rays, seconds, seed, threads, target_error, estimator)
     checkpoint = Checkpoint(out, measurement, every)
     if checkpoint.begin(resume):
         click.echo(f"gonio: going on after {measurement.tally.batches} batches", err=True)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from gonio.table.checks import relative_noise
+from gonio.trace.estimators import ANALOG
 from gonio.trace.measurement import Measurement
 from microgeometry.specimen import parse_specimen
 
@@ -82,7 +83,7 @@ def run(say: Callable[[str], None]) -> dict[str, Any]:
 
 def _measurement(specimen: dict[str, Any], polarised: bool | None = None) -> Measurement:
     specimen = {**specimen, "grid": {**_COARSE, **specimen.get("grid", {})}}
-    measurement = Measurement(parse_specimen(specimen), rays=32 * _PATHS)
+    measurement = Measurement(parse_specimen(specimen), rays=32 * _PATHS, estimator=ANALOG)
     if polarised is not None:
         measurement.tracer.stack = measurement.tracer.stack._replace(polarised=polarised)
     return measurement

@@ -12,9 +12,14 @@ from gonio.core.directions import projected_solid_angles
 from gonio.core.lookup import axis
 from gonio.core.parallel import for_each
 from gonio.trace.analog import Beam, Bins, Part, Sums
+from gonio.trace.estimators import ANALOG, HALF_VECTOR, roughness
+from gonio.trace.facets import measure_facets
+from gonio.trace.half_vector import HalfVector
+from gonio.trace.remainder import block_size
 from gonio.trace.tally import Tally, new_accumulators
-from gonio.trace.tracer import Tracer
+from gonio.trace.tracer import Surface, Tracer
 from microgeometry.specimen import Specimen
+from microgeometry.tile import HeightField
 
 Array = NDArray[np.float64]
 
@@ -37,11 +42,14 @@ class Job:
     seed : int
     exponent : int
         A pass is 16 * 2**exponent paths.
+    estimator : str
+        One of `gonio.trace.estimators`.
     """
 
     specimen: Specimen
     seed: int
     exponent: int
+    estimator: str = ANALOG
 
 
 class BatchTracer:
@@ -56,7 +64,11 @@ class BatchTracer:
     theta_i, theta_i_edges, theta_edges, phi_edges : ndarray
         As in `gonio.table.table.Table`; theta_i_edges may be None.
     areas : ndarray, shape (rings, sectors)
-        Projected solid angles of the cells, sr.
+        Projected solid angles of the table's cells, sr.
+    bin_theta_edges, bin_phi_edges, bin_areas : ndarray
+        The same of the cells that paths are binned in: larger ones, where they carry smooth light only.
+    alpha : float or None
+        Roughness, where facets are measured for the half-vector estimator.
     paths_per_pass : int
     tracer : Tracer
         How the specimen is traced.
@@ -82,31 +94,50 @@ class BatchTracer:
         self._strata = 2 ** (job.exponent // 2), 2 ** (job.exponent - job.exponent // 2)
         self.paths_per_pass = 16 * 2**job.exponent
         self.tracer = Tracer(job.specimen, job.seed, self.paths_per_pass)
+        self.alpha = roughness(self.tracer) if job.estimator == HALF_VECTOR else None
+        self._orders = grid.orders if self.alpha is None else max(2, grid.orders)
+        merged = (1, 1) if self.alpha is None else block_size(self.alpha, *self.areas.shape)
+        self.bin_theta_edges, self.bin_phi_edges = (
+            self.theta_edges[:: merged[0]],
+            self.phi_edges[:: merged[1]],
+        )
+        self.bin_areas = projected_solid_angles(self.bin_theta_edges, self.bin_phi_edges)
         self._bins = Bins(
-            axis(sin2_edges), axis(-np.cos(self.phi_edges)), grid.orders, self.tracer.stack.share
+            axis(np.sin(self.bin_theta_edges) ** 2),
+            axis(-np.cos(self.bin_phi_edges)),
+            self._orders,
+            self.tracer.stack.share,
         )
         self.seconds = 0.0
 
     def new_tally(self) -> Tally:
         """An empty tally of this job's table."""
-        orders, hemispheres = self.job.specimen.grid.orders, self.tracer.hemispheres
-        return Tally(*self._shape(), hemispheres, orders, self.tracer.ledger_names)
+        return Tally(*self._shape(), self.tracer.hemispheres, self._orders, self.tracer.ledger_names)
+
+    def new_half_vector(self) -> HalfVector | None:
+        """Empty sums of single bounces, where the estimator has them."""
+        if self.alpha is None or self.tracer.optics is None:
+            return None
+        grid = self.job.specimen.grid
+        return HalfVector(self.tracer.optics, self.tracer.to_channels, grid.n_samples, self.alpha)
 
     def new_accumulators(self) -> tuple[Array, ...]:
         """Empty accumulators for `trace`, as those of `new_tally`."""
-        sheets = self.tracer.hemispheres * self.job.specimen.grid.orders
+        sheets = self.tracer.hemispheres * self._orders
         return new_accumulators(*self._shape(), sheets, len(self.tracer.ledger_names))
 
     def _shape(self) -> tuple[int, int, int, int]:
         """Rows, cells, channels and chunks."""
         rows = len(self.theta_i)
         channels = len(self.job.specimen.grid.channels)
-        return rows, self.areas.size, channels, max(1, -(-_UNITS // rows))
+        return rows, self.bin_areas.size, channels, max(1, -(-_UNITS // rows))
 
     def trace(
         self, batch: int, passes: NDArray[np.int64], accumulators: tuple[Array, ...], threads: int
-    ) -> None:
+    ) -> Array | None:
         """Trace a batch; on a random surface, a realisation of its own.
+
+        Returns what `gonio.trace.facets.measure_facets` finds on it where `alpha` is given, else None.
 
         Parameters
         ----------
@@ -136,4 +167,18 @@ class BatchTracer:
 
         started = time.perf_counter()
         for_each(trace, len(slots) * chunks, threads)
+        facets = None
+        if self.alpha is not None:
+            assert isinstance(realisation, Surface)
+            assert isinstance(realisation.tile, HeightField)
+            facets = measure_facets(
+                realisation.tile,
+                realisation.scene,
+                self.alpha,
+                len(slots) * self.paths_per_pass,
+                self.job.seed,
+                batch,
+                threads,
+            )
         self.seconds += time.perf_counter() - started
+        return facets

@@ -42,6 +42,8 @@ class Sums(NamedTuple):
     specular: NDArray[np.float64]
     energy: NDArray[np.float64]
     ledger: NDArray[np.float64]
+    facets: NDArray[np.float64] | None
+    """What `gonio.trace.facets.measure_facets` found, where the estimator asks."""
 
 
 class Cluster:
@@ -114,7 +116,7 @@ class Cluster:
         sums = self._result(tally.batches)
         with measurement.adding():
             _add(sums, tally)
-            measurement.close_batch(started)
+            measurement.close_batch(sums.facets, started)
 
     def _result(self, batch: int) -> Sums:
         from distributed.scheduler import KilledWorker
@@ -170,10 +172,10 @@ def trace_batch(job: bytes, batch: int, passes: NDArray[np.int64]) -> Sums:
     """
     tracer = _tracer(job)
     cells, specular, energy, ledger = accumulators = tracer.new_accumulators()
-    tracer.trace(batch, passes, accumulators, 1)
+    facets = tracer.trace(batch, passes, accumulators, 1)
     flat = cells.reshape(-1, cells.shape[-1])
     places = np.flatnonzero(flat.any(axis=1))
-    return Sums(places, flat[places], specular, energy, ledger)
+    return Sums(places, flat[places], specular, energy, ledger, facets)
 
 
 @lru_cache(maxsize=1)

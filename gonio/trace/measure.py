@@ -34,6 +34,7 @@ def measure(
     every: float = EVERY,
     resume: bool = False,
     dask: str | None = None,
+    estimator: str | None = None,
 ) -> Table:
     """Trace a specimen to a table.
 
@@ -62,6 +63,8 @@ def measure(
         Go on from there, if there is one: the table is the same bit for bit.
     dask : str, optional
         Address of a dask.distributed scheduler whose workers trace the batches; the result is the same.
+    estimator : str, optional
+        One of `gonio.trace.estimators.ESTIMATORS`; default: the best that applies.
 
     Returns
     -------
@@ -75,7 +78,7 @@ def measure(
     TraceError
         Paths were lost.
     """
-    measurement = start(specimen, rays, seconds, seed, threads, target_error)
+    measurement = start(specimen, rays, seconds, seed, threads, target_error, estimator)
     keeper = None
     if checkpoint is not None:
         keeper = Checkpoint(checkpoint, measurement, every)
@@ -96,13 +99,14 @@ def start(
     seed: int,
     threads: int | None,
     target_error: float | None = None,
+    estimator: str | None = None,
 ) -> Measurement:
     """Prepare a measurement with the arguments of `measure`."""
     if rays is not None and seconds is not None:
         raise InputError("rays and time: both given; give one of them as the budget")
     if seconds is not None and not 0 < seconds < float("inf"):
         raise InputError(f"time: {seconds}; a positive number of seconds is needed")
-    return Measurement(specimen, rays, seed, threads, target_error, seconds)
+    return Measurement(specimen, rays, seed, threads, target_error, seconds, estimator)
 
 
 def run(

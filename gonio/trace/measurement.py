@@ -13,8 +13,11 @@ from gonio.core.parallel import check_threads
 from gonio.interrupt import uninterrupted
 from gonio.table.table import Table
 from gonio.trace.batch import BatchTracer, Job
+from gonio.trace.combine import combine
 from gonio.trace.errors import TraceError
-from gonio.trace.stopping import Schedule, check_target
+from gonio.trace.estimators import choose
+from gonio.trace.sheets import Sheet
+from gonio.trace.stopping import Schedule, Verdict, check_target, judge
 from gonio.trace.tabulate import tabulate
 from microgeometry.errors import InputError
 from microgeometry.specimen import Specimen
@@ -46,6 +49,8 @@ class Measurement:
         Relative standard error at which to stop; see `gonio.trace.stopping`.
     seconds : float, optional
         Time planned; only to choose the size of a batch.
+    estimator : str, optional
+        One of `gonio.trace.estimators.ESTIMATORS`; default: the best that applies.
 
     Attributes
     ----------
@@ -54,6 +59,9 @@ class Measurement:
     tracer : Tracer
         How the specimen is traced.
     tally : Tally
+        Of the paths binned.
+    half_vector : HalfVector or None
+        Of single bounces, where these are not taken from the paths.
     schedule : Schedule
     plan : dict
         The arguments that the result depends on.
@@ -66,7 +74,7 @@ class Measurement:
     Raises
     ------
     InputError
-        A negative or too large seed, no rays, or an impossible target.
+        A negative or too large seed, no rays, an impossible target, or an estimator that does not apply.
     """
 
     def __init__(
@@ -77,6 +85,7 @@ class Measurement:
         threads: int | None = None,
         target_error: float | None = None,
         seconds: float | None = None,
+        estimator: str | None = None,
     ) -> None:
         if rays is not None and rays < 1:
             raise InputError(f"rays: {rays}; at least 1 is needed")
@@ -84,12 +93,13 @@ class Measurement:
             raise InputError(f"seed: {seed}; an integer from 0 to 4294967295 is needed")
         self.specimen = specimen
         self.target_error = None if target_error is None else check_target(target_error)
+        estimator = choose(specimen, seed, estimator)
         self.plan = {
             "seed": seed,
             "rays": rays,
             "time": seconds,
             "target error": target_error,
-            "estimator": "analog",
+            "estimator": estimator,
         }
         self.threads = check_threads(threads)
         bounded = rays is not None or (seconds is None and target_error is None)
@@ -102,12 +112,13 @@ class Measurement:
         exponent = 0
         while 16 * rows * 2 ** (exponent + 1) * MIN_BATCHES <= share and exponent < _MAX_EXPONENT:
             exponent += 1
-        self.job = Job(specimen, seed, exponent)
+        self.job = Job(specimen, seed, exponent, estimator)
         self.batches = BatchTracer(self.job)
         self.tracer = self.batches.tracer
         self.paths_per_batch = rows * self.batches.paths_per_pass
         self.planned_batches = max(MIN_BATCHES, -(-rays // self.paths_per_batch)) if bounded else None
         self.tally = self.batches.new_tally()
+        self.half_vector = self.batches.new_half_vector()
         self.schedule = Schedule(rows, self.batches.paths_per_pass, self.planned_batches, self.target_error)
         self.seconds = 0.0
         self._half_done = False
@@ -129,8 +140,8 @@ class Measurement:
         with self.adding():
             batch = self.tally.batches
             passes = self.schedule.passes(batch)
-            self.batches.trace(batch, passes, self.tally.accumulators, self.threads)
-            self.close_batch(started)
+            facets = self.batches.trace(batch, passes, self.tally.accumulators, self.threads)
+            self.close_batch(facets, started)
 
     @contextmanager
     def adding(self) -> Iterator[None]:
@@ -141,8 +152,8 @@ class Measurement:
         yield
         self._half_done = False
 
-    def close_batch(self, started: float) -> None:
-        """Take what is in the tally's accumulators as the next batch, begun at `started` (perf_counter).
+    def close_batch(self, facets: NDArray[np.float64] | None, started: float) -> None:
+        """Take what is in the tally's accumulators, and `facets`, as the next batch, begun at `started`.
 
         Raises
         ------
@@ -152,7 +163,9 @@ class Measurement:
         with uninterrupted():
             passes = self.schedule.passes(self.tally.batches)
             self.tally.close_batch(passes, self.batches.paths_per_pass, self.threads)
-            self.schedule.advance(self.tally, self.batches.areas)
+            if self.half_vector is not None and facets is not None:
+                self.half_vector.add(facets)
+            self.schedule.advance(self.tally, self.judge)
             self.seconds += time.perf_counter() - started
         self._check_lost(1e-3)
 
@@ -169,10 +182,23 @@ class Measurement:
         self._check_lost(LOST_LIMIT)
         return tabulate(self)
 
+    def light(self) -> tuple[list[Sheet], list[list[Sheet]]]:
+        """What is known so far: all light of each hemisphere, and for each its orders as in `Tally.orders`."""
+        if self.half_vector is None:
+            return list(self.tally.totals), [list(orders) for orders in self.tally.orders]
+        total, orders = combine(self.half_vector, self.tally, self.batches, self.threads)
+        return [total], [orders if self.specimen.grid.orders > 1 else []]
+
+    def judge(self) -> Verdict:
+        """How well it is known."""
+        return judge(self.light()[0], self.tally.rows, self.batches.areas)
+
     def state(self) -> dict[str, NDArray]:
         """Everything learned so far, as arrays by name."""
         tally = {f"tally.{name}": array for name, array in self.tally.state().items()}
         schedule = {f"schedule.{name}": array for name, array in self.schedule.state().items()}
+        if self.half_vector is not None:
+            schedule |= {f"half_vector.{name}": a for name, a in self.half_vector.state().items()}
         return {**tally, **schedule, "seconds": np.array(self.seconds)}
 
     def restore(self, state: dict[str, NDArray]) -> None:
@@ -189,6 +215,8 @@ class Measurement:
 
         self.schedule.restore(part("schedule."))
         self.tally.restore(part("tally."))
+        if self.half_vector is not None:
+            self.half_vector.restore(part("half_vector."))
         self.seconds = float(state["seconds"])
 
     def _check_lost(self, limit: float) -> None:

@@ -11,6 +11,8 @@ paths): with one more batch, V becomes (T^2 V + variance of the batch) / (T + 1)
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,6 +63,31 @@ class RowCounts:
         """From sums of squared deviations, shape (rows, ...), to the variance of the mean."""
         scale = 1.0 / (np.maximum(self.weight - 1.0, 1.0) * np.maximum(self.weight, 1.0))
         return squares * scale.reshape(-1, *[1] * (squares.ndim - 1))
+
+
+class Sheet(Protocol):
+    """What is known of some of the light."""
+
+    @property
+    def hits(self) -> NDArray[np.int64] | None:
+        """Paths that ended in each cell, shape (rows, cells); None where cells do not rest on paths."""
+        ...
+
+    def cells(self, projected_solid_angles: Array) -> tuple[Array, Array]:
+        """As `SheetTally.cells`."""
+        ...
+
+    def row_cells(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
+        """As `SheetTally.row_cells`."""
+        ...
+
+    def energies(self) -> tuple[Array, Array, Array, Array]:
+        """As `SheetTally.energies`."""
+        ...
+
+    def variance_of_variance(self) -> Array:
+        """As `SheetTally.variance_of_variance`."""
+        ...
 
 
 class SheetTally:

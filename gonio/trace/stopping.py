@@ -9,13 +9,14 @@ occasions; its share of any one cell's luck is too small to bias it (tested).
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.trace.batch import MAX_PASSES
-from gonio.trace.sheets import SheetTally
+from gonio.trace.sheets import RowCounts, Sheet
 from gonio.trace.tally import Tally
 from microgeometry.errors import InputError
 
@@ -102,16 +103,18 @@ class Verdict:
         return words
 
 
-def judge(tally: Tally, projected_solid_angles: Array) -> Verdict:
+def judge(totals: Sequence[Sheet], rows: RowCounts, projected_solid_angles: Array) -> Verdict:
     """How well the light that left is known so far.
 
     Parameters
     ----------
-    tally : Tally
+    totals : sequence of Sheet
+        All light of each hemisphere.
+    rows : RowCounts
     projected_solid_angles : ndarray, shape (rings, sectors)
         Of the cells, in sr.
     """
-    energies = [sheet.energies() for sheet in tally.totals]
+    energies = [sheet.energies() for sheet in totals]
     energy = np.stack([e[0] for e in energies])  # (hemispheres, rows, channels)
     error = np.stack([e[1] for e in energies])
     specular = np.sum([e[2] for e in energies], axis=0)
@@ -119,21 +122,18 @@ def judge(tally: Tally, projected_solid_angles: Array) -> Verdict:
     bright = np.abs(energy.sum(axis=0)).max(axis=-1)
     counts = (np.abs(energy) > (1.0 - _ENERGY) * bright[:, None]) & (bright[:, None] > 0)
     albedo = np.max(np.where(counts, error, 0.0) / np.where(counts, np.abs(energy), 1.0), axis=(0, 2))
-    rows = len(bright)
-    cells = np.zeros(rows)
-    for row in range(rows):
+    cells = np.zeros(len(bright))
+    for row in range(len(bright)):
         total = energy[:, row].sum(axis=0)
         channels = np.flatnonzero(np.abs(total) > (1.0 - _ENERGY) * bright[row])
         if len(channels):
-            cells[row] = _cells_error(
-                tally.totals, row, projected_solid_angles, total, specular[row], channels
-            )
-    vov = np.max([sheet.variance_of_variance() for sheet in tally.totals], axis=0)
-    return Verdict(albedo, cells, np.where(bright > 0, vov, 0.0), tally.rows.batches.copy())
+            cells[row] = _cells_error(totals, row, projected_solid_angles, total, specular[row], channels)
+    vov = np.max([sheet.variance_of_variance() for sheet in totals], axis=0)
+    return Verdict(albedo, cells, np.where(bright > 0, vov, 0.0), rows.batches.copy())
 
 
 def _cells_error(
-    sheets: list[SheetTally],
+    sheets: Sequence[Sheet],
     row: int,
     areas: Array,
     total: Array,
@@ -196,14 +196,14 @@ class Schedule:
         """Of each row in a batch of this round, shape (rows,)."""
         return self._plan[(batch - self._begun) % len(self._plan)]
 
-    def advance(self, tally: Tally, projected_solid_angles: Array) -> None:
-        """To be called after every batch: plans the next round where one has ended."""
+    def advance(self, tally: Tally, verdict: Callable[[], Verdict]) -> None:
+        """To be called after every batch: plans the next round where one has ended; asks for the verdict then."""
         if tally.batches < self.until or self.over:
             return
         if self._target is None or tally.batches == self._batches:
             self.over = True
             return
-        lack = judge(tally, projected_solid_angles).lack(self._target)
+        lack = verdict().lack(self._target)
         if np.all(lack <= 1.0):
             self.over = True
             return

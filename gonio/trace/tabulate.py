@@ -10,8 +10,7 @@ import numpy as np
 from gonio.table.checks import relative_noise
 from gonio.table.parts import TRANSMISSION, order_names
 from gonio.table.table import Table
-from gonio.trace.sheets import SheetTally
-from gonio.trace.stopping import judge
+from gonio.trace.sheets import Sheet
 from microgeometry.specimen import Specimen
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ def tabulate(measurement: Measurement) -> Table:
     grid, tally = measurement.specimen.grid, measurement.tally
     ledger = {n: energy for n, energy in tally.ledger.items() if n not in measurement.tracer.empty_columns}
     hemispheres = []
-    for total, orders in zip(tally.totals, tally.orders, strict=True):
+    for total, orders in zip(*measurement.light(), strict=True):
         names = order_names(grid.orders)
         parts = {name: _sheet(measurement, sheet) for name, sheet in zip(names, orders, strict=True)}
         hemispheres.append((total, parts))
@@ -44,7 +43,7 @@ def tabulate(measurement: Measurement) -> Table:
 
 def _sheet(
     measurement: Measurement,
-    sheet: SheetTally,
+    sheet: Sheet,
     parts: dict[str, Table] | None = None,
     ledger: dict[str, float] | None = None,
 ) -> Table:
@@ -55,7 +54,7 @@ def _sheet(
     return Table(
         values=values,
         std_error=std_error,
-        hits=sheet.hits.reshape(values.shape[:3]),
+        hits=None if sheet.hits is None else sheet.hits.reshape(values.shape[:3]),
         theta_i=axes.theta_i,
         theta_i_edges=axes.theta_i_edges,
         theta_r_edges=axes.theta_edges,
@@ -79,14 +78,14 @@ def _provenance(measurement: Measurement) -> dict[str, Any]:
         "name": specimen.name,
         "specimen": specimen.text,
         "seed": measurement.job.seed,
-        "estimator": "analog",
+        "estimator": measurement.job.estimator,
         "batches": tally.batches,
         "planned_batches": measurement.planned_batches,
         "realisations": tally.batches if specimen.is_random else 1,
         **_one_realisation(specimen),
         "paths": int(paths),
         "paths_of_rows": tally.rows.paths.tolist(),
-        "rays": tally.rays,
+        "rays": tally.rays + (measurement.half_vector.rays if measurement.half_vector else 0),
         "seconds": measurement.seconds,
         "paths_per_second": paths / measurement.seconds,
         **_target(measurement),
@@ -103,7 +102,7 @@ def _target(measurement: Measurement) -> dict[str, Any]:
     target = measurement.target_error
     if target is None:
         return {"target_error": None, "target_met": None}
-    verdict = judge(measurement.tally, measurement.batches.areas)
+    verdict = measurement.judge()
     return {
         "target_error": target,
         "target_met": verdict.met(target),

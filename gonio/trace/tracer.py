@@ -43,6 +43,10 @@ class Tracer:
     Attributes
     ----------
     stack : Stack
+    optics : Optics or None
+        Where one opaque surface is all there is.
+    to_channels : ndarray or None, shape (C, S)
+        From the samples traced to the table's channels; None where they are the same.
     hemispheres : int
         1, or 2 where light can leave below.
     ledger_names : tuple of str
@@ -63,9 +67,9 @@ class Tracer:
         self._seed = seed
         self._paths_per_row = paths_per_row
         layers = specimen.layers
-        self._optics = pack_optics(layers[0]) if len(layers) == 1 else None
+        self.optics = pack_optics(layers[0]) if len(layers) == 1 else None
         self.ledger_names: tuple[str, ...] = ()
-        if self._optics is None:
+        if self.optics is None:
             self.ledger_names = tuple(
                 f"absorbed: layer {number} {what}"
                 for number in range(1, len(layers) + 1)
@@ -75,7 +79,7 @@ class Tracer:
             name for name, layer in zip(self.ledger_names[1::2], layers, strict=False) if layer.medium is None
         }
         grid = specimen.grid
-        self._to_channels = None if grid.to_channels is None else np.array(grid.to_channels)
+        self.to_channels = None if grid.to_channels is None else np.array(grid.to_channels)
         self._statistics: list[list[SurfaceStatistics]] = []
         self._fixed: Realisation | None = None
 
@@ -87,8 +91,8 @@ class Tracer:
         if batch == len(self._statistics) < _STATISTICS_TILES:
             self._statistics.append([tile.statistics() for tile in tiles])
         realisation: Realisation
-        if self._optics is not None:
-            realisation = _Surface(self, self._optics, tiles[0])
+        if self.optics is not None:
+            realisation = Surface(self, self.optics, tiles[0])
         else:
             realisation = _Layers(self, tiles)
         if not self._specimen.is_random:
@@ -115,25 +119,34 @@ class Tracer:
         ]
 
 
-class _Surface:
-    """One opaque surface of one material: 16 paths at a time."""
+class Surface:
+    """One opaque surface of one material: 16 paths at a time; a `Realisation`.
+
+    Attributes
+    ----------
+    tile : Tile
+    scene : TraceScene
+        Of this tile.
+    """
 
     def __init__(self, tracer: Tracer, optics: Optics, tile: Tile) -> None:
+        self.tile = tile
+        self.scene = TraceScene([tile])
         self._tracer = tracer
         self._optics = optics
-        self._scene = TraceScene([tile])
-        self._coherent = tracer._paths_per_row * _COHERENT_FACETS >= self._scene.facets
+        self._coherent = tracer._paths_per_row * _COHERENT_FACETS >= self.scene.facets
 
     def trace(self, bins: Bins, beam: Beam, part: Part, batch: int, sums: Sums) -> None:
-        tracer, scene = self._tracer, self._scene
+        """As `Realisation.trace`."""
+        tracer, scene = self._tracer, self.scene
         trace_surface(
-            scene.embree, scene.box, self._coherent, *self._optics, tracer._to_channels, bins, beam, part,
+            scene.embree, scene.box, self._coherent, *self._optics, tracer.to_channels, bins, beam, part,
             tracer._seed, batch, MAX_BOUNCES, sums,
         )  # fmt: skip
 
 
 class _Layers:
-    """A stack of layers, or one surface that needs more than `_Surface` knows: one path at a time."""
+    """A stack of layers, or one surface that needs more than `Surface` knows: one path at a time."""
 
     def __init__(self, tracer: Tracer, tiles: list[Tile]) -> None:
         self._tracer = tracer
@@ -144,7 +157,7 @@ class _Layers:
         tracer, stack = self._tracer, self._tracer.stack
         max_bounces = MAX_SCATTERINGS if stack.scatters else MAX_BOUNCES
         trace_stack(
-            self._scene.zones, self._facets, stack.tables, stack.media, stack.polarised, tracer._to_channels,
+            self._scene.zones, self._facets, stack.tables, stack.media, stack.polarised, tracer.to_channels,
             bins, beam, part, tracer._seed, batch, max_bounces, sums,
         )  # fmt: skip
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from gonio.trace.estimators import ANALOG
 from gonio.trace.measure import measure
 from gonio.trace.measurement import Measurement
 from gonio.trace.stopping import FIRST_ROUND, Schedule, Verdict, judge
@@ -47,7 +48,7 @@ def tally_of(energies, errors, hemispheres=1, paths=10**9):
 
 def verdict_of(energies, errors, hemispheres=1):
     tally = tally_of(energies, errors, hemispheres)
-    return judge(tally, np.ones((1, np.shape(energies)[-1])))
+    return judge(tally.totals, tally.rows, np.ones((1, np.shape(energies)[-1])))
 
 
 def test_the_cells_of_the_light_are_judged_at_the_95th_percentile():
@@ -92,21 +93,21 @@ def test_a_black_row_lacks_nothing():
     tally = Tally(2, 4, 1, 1)
     for _ in range(FIRST_ROUND):
         tally.close_batch([1, 1], 100)
-    assert judge(tally, np.ones((2, 2))).met(0.01)
+    assert judge(tally.totals, tally.rows, np.ones((2, 2))).met(0.01)
 
 
-def test_rows_get_passes_by_what_they_lack(monkeypatch):
+def test_rows_get_passes_by_what_they_lack():
     tally = Tally(6, 1, 1, 1)
     for _ in range(FIRST_ROUND):
         tally.close_batch(np.ones(6), 16)
     schedule = Schedule(6, 16, None, 0.1)
     lacks = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 101.0])
     none = np.zeros(6)
-    monkeypatch.setattr(
-        "gonio.trace.stopping.judge",
-        lambda *_: Verdict(none, np.sqrt(lacks) * 0.1, np.stack([none, none]), np.full(6, 32)),
-    )
-    schedule.advance(tally, np.ones((1, 1)))
+
+    def verdict():
+        return Verdict(none, np.sqrt(lacks) * 0.1, np.stack([none, none]), np.full(6, 32))
+
+    schedule.advance(tally, verdict)
     assert not schedule.over
     assert FIRST_ROUND < schedule.until <= 1.5 * FIRST_ROUND
     # the last row would take nearly all: but two passes, for its old batches must still be 16 of the new
@@ -115,12 +116,12 @@ def test_rows_get_passes_by_what_they_lack(monkeypatch):
     assert not np.any(np.array(plan)[:, :2])
     # and nothing happens before the round is over
     until = schedule.until
-    schedule.advance(tally, np.ones((1, 1)))
+    schedule.advance(tally, verdict)
     assert schedule.until == until
     lacks[:] = 0.9
     while tally.batches < schedule.until:
         tally.close_batch(schedule.passes(tally.batches), 16)
-    schedule.advance(tally, np.ones((1, 1)))
+    schedule.advance(tally, verdict)
     assert schedule.over
 
 
@@ -151,7 +152,7 @@ def test_the_budget_is_spent_and_said_so():
     assert spent.provenance["seconds"] >= 0.3
 
 
-def test_passes_follow_what_is_needed(monkeypatch):
+def test_passes_follow_what_is_needed():
     """On average over a few batches, and in every batch as many as there are rows."""
     tally = Tally(6, 1, 1, 1)
     for _ in range(FIRST_ROUND):
@@ -159,11 +160,11 @@ def test_passes_follow_what_is_needed(monkeypatch):
     schedule = Schedule(6, 16, None, 0.1)
     lacks = 1.0 + 50.0 * np.array([0.4, 0.6, 0.9, 1.2, 1.3, 1.6])
     none = np.zeros(6)
-    monkeypatch.setattr(
-        "gonio.trace.stopping.judge",
-        lambda *_: Verdict(none, np.sqrt(lacks) * 0.1, np.stack([none, none]), np.full(6, 32)),
-    )
-    schedule.advance(tally, np.ones((1, 1)))
+
+    def verdict():
+        return Verdict(none, np.sqrt(lacks) * 0.1, np.stack([none, none]), np.full(6, 32))
+
+    schedule.advance(tally, verdict)
     plan = np.array([schedule.passes(batch) for batch in range(32, 48)])
     assert np.all(plan.sum(axis=1) == 6)
     np.testing.assert_allclose(plan.mean(axis=0), [0.4, 0.6, 0.9, 1.2, 1.3, 1.6], atol=1 / 8)
@@ -173,10 +174,10 @@ def test_rays_go_where_the_error_is(monkeypatch):
     """With a budget that is too small, the worst row ends better than with as many paths for each."""
 
     def errors():
-        measurement = Measurement(gaussian(), rays=400_000, seed=2, target_error=0.02)
+        measurement = Measurement(gaussian(), 400_000, 2, target_error=0.02, estimator=ANALOG)
         while not measurement.schedule.over:
             measurement.add_batch()
-        return judge(measurement.tally, measurement.batches.areas).cells
+        return measurement.judge().cells
 
     aimed = errors()
     monkeypatch.setattr(Schedule, "_deal", lambda self, needed, *_: np.ones((1, len(needed)), np.int64))

@@ -1,0 +1,164 @@
+"""Single bounces by their half vectors, and what bounces more by binning, in the cells of one table.
+
+The orders are scaled, row by row, to the energies that the paths counted: these hold less noise than a
+histogram of tilts, and all orders add up to the row's albedo. Single bounces are held to the paths in each block
+of cells as well, where the paths are many enough.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.trace.half_vector import HalfVector
+from gonio.trace.remainder import spread
+from gonio.trace.sheets import Sheet, SheetTally
+from gonio.trace.tally import Tally
+
+if TYPE_CHECKING:
+    from gonio.trace.batch import BatchTracer
+
+Array = NDArray[np.float64]
+
+
+class Combined:
+    """A `gonio.trace.sheets.Sheet` whose cells were estimated otherwise than its energies.
+
+    Parameters
+    ----------
+    values, std_error : ndarray, shape (rows, rings, sectors, channels)
+        1/sr.
+    counted : SheetTally
+        The same light as counted, in any cells.
+    """
+
+    hits = None
+
+    def __init__(self, values: Array, std_error: Array, counted: SheetTally) -> None:
+        self._values, self._std_error = values, std_error
+        self._counted = counted
+
+    def cells(self, projected_solid_angles: Array) -> tuple[Array, Array]:
+        """As `SheetTally.cells`, of the table's cells only."""
+        return self._values, self._std_error
+
+    def row_cells(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
+        """As `SheetTally.row_cells`, of the table's cells only."""
+        return self._values[row], self._std_error[row]
+
+    def energies(self) -> tuple[Array, Array, Array, Array]:
+        """As `SheetTally.energies`."""
+        return self._counted.energies()
+
+    def variance_of_variance(self) -> Array:
+        """As `SheetTally.variance_of_variance`."""
+        return self._counted.variance_of_variance()
+
+
+def combine(
+    half_vector: HalfVector, tally: Tally, batches: BatchTracer, threads: int
+) -> tuple[Sheet, list[Sheet]]:
+    """All reflected light, and its orders.
+
+    Parameters
+    ----------
+    half_vector : HalfVector
+        Of at least one batch.
+    tally : Tally
+        Of one hemisphere and two orders or more, in blocks.
+    batches : BatchTracer
+        Whose axes those are.
+    threads : int
+        The result does not depend on it.
+    """
+    shape = len(batches.theta_i), *batches.areas.shape, -1
+    values, std_error, *_ = half_vector.cells(
+        batches.theta_i, batches.theta_i_edges, batches.theta_edges, batches.phi_edges, batches.areas.ravel(),
+        threads,
+    )  # fmt: skip
+    estimates = [(values.reshape(shape), std_error.reshape(shape))]
+    counted = tally.orders[0]
+    estimates[0] = _anchor(*estimates[0], counted[0], batches)
+    estimates += [_spread(sheet, tally.rows.paths, batches) for sheet in counted[1:]]
+    orders = [
+        Combined(*_scale(values, std_error, sheet, batches.areas), sheet)
+        for (values, std_error), sheet in zip(estimates, counted, strict=True)
+    ]
+    found = [order.cells(batches.areas) for order in orders]
+    total = np.sum([values for values, _ in found], axis=0)
+    error = np.sqrt(np.sum([std_error**2 for _, std_error in found], axis=0))
+    return Combined(total, error, tally.totals[0]), list(orders)
+
+
+def _anchor(
+    values: Array, std_error: Array, counted: SheetTally, batches: BatchTracer
+) -> tuple[Array, Array]:
+    """Half vectors give the cells of a block, and paths their sum as far as these know it better.
+
+    Near the horizon, where few facets see out, many paths may. A block's factor is 1 + w (counted / estimated - 1),
+    with the weight w from relative variances: the estimate's own, and 1 over the paths it expects. It does not ask
+    how many there were, which would prefer blocks that few happened to reach.
+    """
+    areas = batches.areas
+    shape = values.shape
+    rings, sectors = batches.bin_areas.shape
+    blocks = shape[0], rings, shape[1] // rings, sectors, shape[2] // sectors, shape[3]
+
+    def total(a: Array) -> Array:
+        return (a * areas[..., None]).reshape(blocks).sum(axis=(2, 4))
+
+    estimated = total(values)
+    known = np.where(estimated > 0, estimated, 1.0)
+    own = np.where(estimated > 0, total(std_error) / known, 0.0) ** 2  # as if cells of a block erred alike
+    found, found_error = (a * batches.bin_areas[..., None] for a in counted.cells(batches.bin_areas))
+    energy = counted.energies()[0]
+    paths = counted.hits.sum(axis=1)[:, None] / np.where(energy > 0, energy, np.inf)  # for a unit of energy
+    poisson = 1.0 / np.maximum(estimated * paths[:, None, None, :], 1e-300)
+    weight = np.where((estimated > 0) & (own > 0), own / (own + poisson), 0.0)
+    factor = 1.0 + weight * (found / known - 1.0)
+    variance = (1.0 - weight) ** 2 * own + (weight * np.maximum(found_error / known, 0.0)) ** 2
+    shrink = np.sqrt(np.where(own > 0, variance / np.where(own > 0, own, 1.0), 1.0))
+
+    def spread_out(a: Array) -> Array:
+        return np.repeat(np.repeat(a, blocks[2], axis=1), blocks[4], axis=2)
+
+    return values * spread_out(factor), std_error * spread_out(shrink)
+
+
+def _scale(values: Array, std_error: Array, counted: SheetTally, areas: Array) -> tuple[Array, Array]:
+    energy = np.einsum("irpc,rp->ic", values, areas)
+    factor = np.where(energy > 0, counted.energies()[0] / np.where(energy > 0, energy, 1.0), 1.0)
+    factor = factor[:, None, None, :]
+    return values * factor, std_error * factor
+
+
+def _spread(sheet: SheetTally, paths: NDArray[np.int64], batches: BatchTracer) -> tuple[Array, Array]:
+    """From blocks to cells; `paths` were traced in each row."""
+    values, std_error = sheet.cells(batches.bin_areas)
+    # Alone, an empty block may hold up to three paths. Here it is one term of a sum, and its error what blocks like
+    # it scatter: the square root of their mean.
+    hits = sheet.hits.reshape(values.shape[:3])
+    total = hits.sum(axis=(1, 2))
+    weight = sheet.energies()[0] * (paths / np.maximum(total, 1))[:, None]  # mean of a path's
+    mean = np.maximum(hits.mean(axis=2, keepdims=True), (total[:, None, None] + 1) / hits[0].size)
+    scatter = (
+        np.sqrt(mean)[..., None] * (weight / paths[:, None])[:, None, None] / batches.bin_areas[..., None]
+    )
+    std_error = np.where((hits == 0)[..., None], scatter, std_error)
+    variance = std_error**2
+    theta_r, delta_phi = (0.5 * (e[1:] + e[:-1]) for e in (batches.theta_edges, batches.phi_edges))
+    theta_i = None
+    merge, rest = divmod(len(theta_r), len(batches.bin_theta_edges) - 1)
+    if batches.theta_i_edges is not None and rest == 0:
+        # rows to blocks, weighted by their projected solid angles
+        theta_i = batches.theta_i
+        weight = np.diff(np.sin(batches.theta_i_edges) ** 2).reshape(-1, merge)
+        weight = (weight / weight.sum(axis=1, keepdims=True))[..., None, None, None]
+        blocks = len(weight), merge, *values.shape[1:]
+        values = (values.reshape(blocks) * weight).sum(axis=1)
+        variance = (variance.reshape(blocks) * weight**2).sum(axis=1)
+    return spread(
+        values, variance, batches.bin_theta_edges, batches.bin_phi_edges, theta_r, delta_phi, theta_i
+    )

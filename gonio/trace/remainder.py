@@ -1,0 +1,150 @@
+"""Light that is smooth in all angles, from coarse blocks to the cells of a fine table.
+
+After two or more bounces off a very rough surface light knows little of the direction it came from: its BRDF R
+varies over tens of degrees, and cells of one degree that count paths hold more noise than information. It is
+counted in blocks instead, and interpolated linearly between the blocks' centres. Over the pole of theta_i or
+theta_r the neighbour of a block is the one at delta phi on the other side of it,
+R(-theta, delta phi) = R(theta, pi - delta phi); around a pole, where R cannot depend much on delta phi, blocks
+are merged to sectors of more even size. Where rows are blocks too, R(i, o) = R(o, i) halves the variance.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_BLOCKS = (0.8, 3.0, 6.0), (0.45, 2.0, 3.0)
+
+
+def block_size(alpha: float, rings: int, sectors: int) -> tuple[int, int]:
+    """Cells of a table (rings x sectors) that make up a block, along theta_r and delta phi; divisors of these.
+
+    Below alpha 0.45 the blocks are the cells: at grazing angles light of several bounces is as narrow there as that
+    of one. Measured with 7 million paths a row: blocks of 3 x 6 degrees are within the noise of a cell up to 85
+    degrees at alpha 1; at alpha 0.5 they are 0.3 % off there, and those of 2 x 3 degrees are within the noise.
+    """
+    for least, theta, phi in _BLOCKS:
+        if alpha >= least:
+            return _divisor(rings, theta * rings / 90.0), _divisor(sectors, phi * sectors / 180.0)
+    return 1, 1
+
+
+def _divisor(n: int, wanted: float) -> int:
+    """Largest divisor of n that is at most `wanted`, or 1."""
+    return max((d for d in range(1, n + 1) if n % d == 0 and d <= wanted + 1e-9), default=1)
+
+
+def spread(
+    values: Array,
+    variance: Array,
+    theta_edges: Array,
+    phi_edges: Array,
+    theta_r: Array,
+    delta_phi: Array,
+    theta_i: Array | None,
+) -> tuple[Array, Array]:
+    """Interpolate averages over blocks at the centres of cells.
+
+    Parameters
+    ----------
+    values, variance : ndarray, shape (I, R, P, C)
+        Averages over blocks, and the variance of each, independent of each other.
+    theta_edges, phi_edges : ndarray, shapes (R + 1,) and (P + 1,)
+        Edges of the blocks, radians; both uniform, the latter symmetric about pi/2.
+    theta_r, delta_phi : ndarray, shapes (r,) and (p,)
+        Centres of cells, radians.
+    theta_i : ndarray or None, shape (i,)
+        Where rows are blocks with the edges of theta_r: centres of rows, radians. None: rows stay.
+
+    Returns
+    -------
+    values, std_error : ndarray, shape (i, r, p, C)
+    """
+    reciprocal = theta_i is not None
+    if reciprocal:
+        values = 0.5 * (values + values.swapaxes(0, 1))
+        itself = np.arange(len(variance))
+        diagonal = variance[itself, itself]
+        variance = 0.25 * (variance + variance.swapaxes(0, 1))
+        variance[itself, itself] = diagonal
+    centres = 0.5 * (theta_edges[1:] + theta_edges[:-1])
+    sectors = [_sectors(theta, len(phi_edges) - 1) for theta in centres]
+    by_phi = {n: _azimuth_weights(n, phi_edges, delta_phi) for n in set(sectors)}
+    mirror = {n: _azimuth_weights(n, phi_edges, math.pi - delta_phi) for n in set(sectors)}
+    ahead, across = _polar_weights(centres, theta_r)
+    to_row: list[list[tuple[int, float, bool]]]
+    if theta_i is None:
+        to_row = [[(row, 1.0, False)] for row in range(len(values))]
+        rows = [len(phi_edges) - 1] * len(values)
+    else:
+        row_ahead, row_across = _polar_weights(centres, theta_i)
+        to_row = [
+            [
+                (int(a), float(w[a]), flip)
+                for flip, w in ((False, row_ahead[i]), (True, row_across[i]))
+                for a in np.flatnonzero(w)
+            ]
+            for i in range(len(theta_i))
+        ]
+        rows = sectors
+    shape = len(to_row), len(theta_r), len(delta_phi), values.shape[3]
+    mean, square = np.zeros(shape), np.zeros(shape)
+    for i, blocks in enumerate(to_row):
+        for a, weight, flip in blocks:
+            for b in range(len(centres)):
+                n = min(rows[a], sectors[b])
+                for use, w, other in (
+                    (by_phi[n], ahead[:, b], mirror[n]),
+                    (mirror[n], across[:, b], by_phi[n]),
+                ):
+                    reached = np.flatnonzero(w)
+                    if len(reached) == 0:
+                        continue
+                    to_phi = other if flip else use
+                    w = weight * w[reached]
+                    mean[i, reached] += w[:, None, None] * (to_phi @ values[a, b])
+                    square[i, reached] += (w**2)[:, None, None] * (to_phi**2 @ variance[a, b])
+    return np.maximum(mean, 0.0), np.sqrt(square)
+
+
+def _sectors(theta: float, most: int) -> int:
+    """Number of sectors about as wide as a block is high, a divisor of `most`."""
+    wanted = 1 + 0.75 * most * math.sin(theta) / math.sin(math.radians(20))
+    return max(n for n in range(1, most + 1) if most % n == 0 and (n <= wanted))
+
+
+def _azimuth_weights(n: int, edges: Array, delta_phi: Array) -> Array:
+    """Weights (p, P) that merge blocks to n sectors and interpolate between their centres; even at 0 and pi."""
+    most = len(edges) - 1
+    merge = most // n
+    centres = 0.5 * (edges[:-1:merge] + edges[merge::merge])
+    weights = np.zeros((len(delta_phi), most))
+    for k, phi in enumerate(delta_phi):
+        right = int(np.searchsorted(centres, phi))
+        if right in (0, n):  # the neighbour beyond is the mirror image: the same
+            near = [(min(right, n - 1), 1.0)]
+        else:
+            x = (phi - centres[right - 1]) / (centres[right] - centres[right - 1])
+            near = [(right - 1, 1.0 - x), (right, x)]
+        for sector, w in near:
+            weights[k, sector * merge : (sector + 1) * merge] += w / merge
+    return weights
+
+
+def _polar_weights(centres: Array, theta: Array) -> tuple[Array, Array]:
+    """Weights (t, B) of the blocks at their own delta phi, and of those beyond the pole, at pi - delta phi."""
+    ahead, across = np.zeros((2, len(theta), len(centres)))
+    for k, t in enumerate(theta):
+        right = int(np.searchsorted(centres, t))
+        if right == 0:  # between centres[0] and its image beyond the pole
+            x = 0.5 * (1.0 + t / centres[0])
+            ahead[k, 0], across[k, 0] = x, 1.0 - x
+        else:  # beyond the last centre, to the horizon, the line goes on
+            right = min(right, len(centres) - 1)
+            x = (t - centres[right - 1]) / (centres[right] - centres[right - 1])
+            ahead[k, right - 1], ahead[k, right] = 1.0 - x, x
+    return ahead, across
