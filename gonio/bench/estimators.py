@@ -92,7 +92,7 @@ def _specimens(say: Callable[[str], None]) -> dict[str, Specimen]:
     specimens = {name: parse_specimen({**spec, "grid": _GRID}) for name, spec in found.items()}
     folder = os.environ.get("GONIO_TEST_DATA")
     if folder and (Path(folder) / _MAP).exists():
-        surface = {"kind": "heightmap", "file": str(_MAP), "tiling": "mirror", "fill": True}
+        surface = {"kind": "heightmap", "file": str(_MAP), "holes": "fill"}
         specimens["measured height map"] = parse_specimen(
             {"surface": surface, "material": _GOLD, "grid": _GRID}, Path(folder)
         )

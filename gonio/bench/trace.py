@@ -1,4 +1,4 @@
-"""`gonio bench trace`: complete paths per second on a rough mirror, beside two other loops.
+"""`gonio bench trace`: complete paths per second on a rough mirror, beside two other loops; then the estimators.
 
 The surface is a Gaussian height field, alpha 0.5, 512 x 512 samples at 16 samples a correlation length,
 lossless mirror facets. All trace the same periodic tile, follow every path to its exit and bin it on a
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.bench import estimators
 from gonio.bench.bare import trace_mirror
 from gonio.core.directions import direction
 from gonio.core.lookup import axis
@@ -66,7 +67,13 @@ def run(say: Callable[[str], None]) -> dict[str, Any]:
     ratio = float(np.exp(np.mean([np.log(r["ratio"]) for r in results])))
     bare_ratio = float(np.exp(np.mean([np.log(r["bare_ratio"]) for r in results])))
     say(f"{'mean':>8} {mean / 1e6:10.2f} {'':10} {bare_ratio:6.2f} {'':14} {ratio:6.1f}  (ratios: geometric)")
-    return {"angles": results, "mean_paths_per_second": mean, "ratio": ratio, "bare_ratio": bare_ratio}
+    return {
+        "angles": results,
+        "mean_paths_per_second": mean,
+        "ratio": ratio,
+        "bare_ratio": bare_ratio,
+        "estimators": estimators.run(say),
+    }
 
 
 def _specimen(theta_i_deg: float) -> Any:
