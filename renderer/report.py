@@ -160,18 +160,15 @@ def _measurement(table: Table) -> str:
             ("paths", f"{facts['paths'] / 1e6:.2f} M in {facts['batches']} batches"),
             ("realisations of the surface", str(facts["realisations"])),
             ("time", f"{facts['seconds']:.1f} s, {facts['paths_per_second'] / 1e6:.2f} M paths/s"),
-            ("figure of merit", f"{facts['figure_of_merit']:.3g} per relative variance and second"),
+            ("estimator", facts["estimator"]),
             ("alpha, measured on the facets", f"{facts['surface']['alpha']:.4f}"),
             ("rms height, measured", f"{facts['surface']['rms_height'] * 1e6:.4g} um"),
         ]
-    single = facts.get("realisations") == 1 and facts.get("surface", {}).get("alpha", 0) > 0
-    note = (
-        "<p>The surface is one fixed piece: error bars hold the noise of the rays on it, not how another "
-        "piece of the same finish would differ.</p>"
-        if single
-        else ""
-    )
-    return rows_html(("", ""), rows) + note
+        if facts["figure_of_merit"] is not None:
+            merit = f"{facts['figure_of_merit']:.3g} per relative variance and second"
+            rows.append(("figure of merit", merit))
+    one = facts.get("one_realisation")
+    return rows_html(("", ""), rows) + (f"<p>One realisation: {one}.</p>" if one else "")
 
 
 def _energy(table: Table) -> str:
