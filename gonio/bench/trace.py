@@ -1,4 +1,4 @@
-"""`gonio bench trace`: complete paths per second on a rough mirror, beside two other loops; then the estimators.
+"""`gonio bench trace`: complete paths per second on a rough mirror, beside other loops; then the estimators.
 
 The surface is a Gaussian height field, alpha 0.5, 512 x 512 samples at 16 samples a correlation length,
 lossless mirror facets. All trace the same periodic tile, follow every path to its exit and bin it on a
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.bench import estimators
+from gonio.bench import estimators, mitsuba
 from gonio.bench.bare import trace_mirror
 from gonio.core.directions import direction
 from gonio.core.lookup import axis
@@ -30,6 +30,7 @@ from microgeometry.tile import HeightField
 THETA_I_DEG = (0, 30, 60, 80, 88)
 _PATHS = 1 << 20  # of the compiled tracer, per angle
 _PLAIN_PATHS = 1 << 18  # of the plain loop
+_MITSUBA_DEG = (0, 30, 60, 80)
 _REPEATS = 5  # the fastest counts: whatever else the machine does only slows
 
 
@@ -67,11 +68,13 @@ def run(say: Callable[[str], None]) -> dict[str, Any]:
     ratio = float(np.exp(np.mean([np.log(r["ratio"]) for r in results])))
     bare_ratio = float(np.exp(np.mean([np.log(r["bare_ratio"]) for r in results])))
     say(f"{'mean':>8} {mean / 1e6:10.2f} {'':10} {bare_ratio:6.2f} {'':14} {ratio:6.1f}  (ratios: geometric)")
+    ours = {r["theta_i_deg"]: r["paths_per_second"] for r in results if r["theta_i_deg"] in _MITSUBA_DEG}
     return {
         "angles": results,
         "mean_paths_per_second": mean,
         "ratio": ratio,
         "bare_ratio": bare_ratio,
+        "mitsuba": mitsuba.run(_specimen(0).surface.realise(0), ours, _PATHS, say),
         "estimators": estimators.run(say),
     }
 
