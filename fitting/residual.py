@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.fit import fit
-from fitting.result import _from_json
+from fitting.result import fit_from_json
 from fitting.tabulate import tabulate
 from gonio.table.compress import METHODS, tree
 from gonio.table.table import Table
@@ -62,7 +62,7 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> Array:
 def _base(text: str, grid: Table) -> Array:
     """The model's averages over the table's cells, as any decoder will find them."""
     try:
-        model = _from_json(json.loads(text))
+        model = fit_from_json(json.loads(text))
     except InputError as error:
         raise ValueError(str(error)) from error
     if model.channels != grid.channels:

@@ -191,7 +191,7 @@ class Fit:
         except OSError as error:
             raise InputError(f"{path}: {error.strerror}; a file is expected") from None
         try:
-            return _from_json(content)
+            return fit_from_json(content)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
@@ -207,7 +207,14 @@ def versions() -> dict[str, str]:
     return out
 
 
-def _from_json(content: Any) -> Fit:
+def fit_from_json(content: Any) -> Fit:
+    """A fit from the object that `Fit.to_json` makes, or a file of fits of one table holds: its best.
+
+    Raises
+    ------
+    InputError
+        Something in it is missing, unknown or of the wrong kind.
+    """
     _is(content, dict, "content", "an object with the keys model and lobes")
     if content.get("schema") == SEVERAL:
         tables = _is(content.get("tables"), dict, "tables", "an object")
@@ -215,7 +222,7 @@ def _from_json(content: Any) -> Fit:
             raise InputError(
                 f"tables: fits of {len(tables)} tables; those of one are expected, the first is taken"
             )
-        return _from_json(next(iter(tables.values()))[0])
+        return fit_from_json(next(iter(tables.values()))[0])
     allowed = ["schema", *(f.name for f in dataclasses.fields(Fit))]
     _known(content, allowed, "key")
     schema = content.get("schema", SCHEMA)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.bench import estimators, mitsuba
+from gonio.bench import beside_mitsuba, estimators
 from gonio.bench.bare import trace_mirror
 from gonio.core.directions import direction
 from gonio.core.lookup import axis
@@ -74,7 +74,7 @@ def run(say: Callable[[str], None]) -> dict[str, Any]:
         "mean_paths_per_second": mean,
         "ratio": ratio,
         "bare_ratio": bare_ratio,
-        "mitsuba": mitsuba.run(_specimen(0).surface.realise(0), ours, _PATHS, say),
+        "mitsuba": beside_mitsuba.run(_specimen(0).surface.realise(0), ours, _PATHS, say),
         "estimators": estimators.run(say),
     }
 

@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from gonio.bench import mitsuba
+from gonio.bench import beside_mitsuba
 from microgeometry.specimen import parse_specimen
 
 SPEC = {
@@ -25,14 +25,14 @@ def test_left_out_without_mitsuba(tile, monkeypatch):
     monkeypatch.delenv("MITSUBA_PYTHON", raising=False)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     lines = []
-    assert mitsuba.run(tile, {0: 1e6}, 1024, lines.append) is None
+    assert beside_mitsuba.run(tile, {0: 1e6}, 1024, lines.append) is None
     assert "MITSUBA_PYTHON" in lines[-1]
 
 
 def test_left_out_where_it_fails(tile, monkeypatch):
     monkeypatch.setenv("MITSUBA_PYTHON", "false")
     lines = []
-    assert mitsuba.run(tile, {0: 1e6}, 1024, lines.append) is None
+    assert beside_mitsuba.run(tile, {0: 1e6}, 1024, lines.append) is None
     assert "LLVM 16 or later" in lines[-1]
 
 
@@ -41,7 +41,7 @@ def test_left_out_where_it_fails(tile, monkeypatch):
 )
 def test_it_loses_nothing_and_is_compared_angle_by_angle(tile):
     lines = []
-    found = mitsuba.run(tile, {0: 1e6, 60: 2e6}, 1 << 14, lines.append)
+    found = beside_mitsuba.run(tile, {0: 1e6, 60: 2e6}, 1 << 14, lines.append)
     if found is None:
         pytest.skip(f"the LLVM variant does not run here: {lines[-1]}")
     assert [angle["theta_i_deg"] for angle in found["angles"]] == [0, 60]
