@@ -14,6 +14,8 @@ from gonio.table.table import Table
 from microgeometry.errors import InputError
 from tests.table.tables import asymmetric, grid, make
 
+pytestmark = pytest.mark.compiled
+
 EDGES = grid(20, 20, 30)
 
 

@@ -19,6 +19,8 @@ from microgeometry.errors import InputError
 from tests.table.tables import asymmetric, ggx, grid, lambert, make, share
 from tests.table.test_checks import poisson
 
+pytestmark = pytest.mark.compiled
+
 EDGES = grid(30, 30, 45)
 
 
