@@ -47,10 +47,10 @@ def layer(surface, material, **medium):
 
 
 def trace(layers, rays, seed, folder=".", **grid):
-    """Table of a list of layers, or of one."""
+    """Table of a list of layers, or of one, by the estimator that assumes nothing."""
     layers = [layers] if isinstance(layers, dict) else layers
     specimen = parse_specimen({"layer": layers, "grid": {**COARSE, **grid}}, folder)
-    return measure(specimen, rays=rays, seed=seed)
+    return measure(specimen, rays=rays, seed=seed, estimator="analog")
 
 
 def seed_of(name):
