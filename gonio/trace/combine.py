@@ -60,7 +60,7 @@ class Combined:
 def combine(
     half_vector: HalfVector, tally: Tally, batches: BatchTracer, threads: int
 ) -> tuple[Sheet, list[Sheet]]:
-    """All reflected light, and its orders.
+    """All reflected light, and its orders where the specimen asks for them.
 
     Parameters
     ----------
@@ -80,22 +80,22 @@ def combine(
     )  # fmt: skip
     estimates = [(values.reshape(shape), std_error.reshape(shape))]
     counted = tally.orders[0]
-    estimates[0] = _anchor(*estimates[0], counted[0], batches)
+    _anchor(*estimates[0], counted[0], batches)
     estimates += [_spread(sheet, tally.rows.paths, batches) for sheet in counted[1:]]
-    orders = [
-        Combined(*_scale(values, std_error, sheet, batches.areas), sheet)
-        for (values, std_error), sheet in zip(estimates, counted, strict=True)
-    ]
-    found = [order.cells(batches.areas) for order in orders]
-    total = np.sum([values for values, _ in found], axis=0)
-    error = np.sqrt(np.sum([std_error**2 for _, std_error in found], axis=0))
-    return Combined(total, error, tally.totals[0]), list(orders)
+    for (values, std_error), sheet in zip(estimates, counted, strict=True):
+        _scale(values, std_error, sheet, batches.areas)
+    orders = [Combined(*estimate, sheet) for estimate, sheet in zip(estimates, counted, strict=True)]
+    # a table of half a degree is large: nothing is copied that nobody asked for
+    asked = batches.job.specimen.grid.orders > 1
+    total, error = (a.copy() for a in estimates[0]) if asked else estimates[0]
+    for values, std_error in estimates[1:]:
+        total += values
+        np.hypot(error, std_error, out=error)
+    return Combined(total, error, tally.totals[0]), list(orders) if asked else []
 
 
-def _anchor(
-    values: Array, std_error: Array, counted: SheetTally, batches: BatchTracer
-) -> tuple[Array, Array]:
-    """Half vectors give the cells of a block, and paths their sum as far as these know it better.
+def _anchor(values: Array, std_error: Array, counted: SheetTally, batches: BatchTracer) -> None:
+    """Multiply both: half vectors give the cells of a block, and paths their sum as far as these know it better.
 
     Near the horizon, where few facets see out, many paths may. A block's factor is 1 + w (counted / estimated - 1),
     with the weight w from relative variances: the estimate's own, and 1 over the paths it expects. It does not ask
@@ -107,7 +107,7 @@ def _anchor(
     blocks = shape[0], rings, shape[1] // rings, sectors, shape[2] // sectors, shape[3]
 
     def total(a: Array) -> Array:
-        return (a * areas[..., None]).reshape(blocks).sum(axis=(2, 4))
+        return np.stack([(row * areas[..., None]).reshape(blocks[1:]).sum(axis=(1, 3)) for row in a])
 
     estimated = total(values)
     known = np.where(estimated > 0, estimated, 1.0)
@@ -121,17 +121,17 @@ def _anchor(
     variance = (1.0 - weight) ** 2 * own + (weight * np.maximum(found_error / known, 0.0)) ** 2
     shrink = np.sqrt(np.where(own > 0, variance / np.where(own > 0, own, 1.0), 1.0))
 
-    def spread_out(a: Array) -> Array:
-        return np.repeat(np.repeat(a, blocks[2], axis=1), blocks[4], axis=2)
+    for a, by in ((values, factor), (std_error, shrink)):
+        for row in range(len(a)):
+            a[row] *= np.repeat(np.repeat(by[row], blocks[2], axis=0), blocks[4], axis=1)
 
-    return values * spread_out(factor), std_error * spread_out(shrink)
 
-
-def _scale(values: Array, std_error: Array, counted: SheetTally, areas: Array) -> tuple[Array, Array]:
+def _scale(values: Array, std_error: Array, counted: SheetTally, areas: Array) -> None:
+    """Multiply both so that they hold the energies counted."""
     energy = np.einsum("irpc,rp->ic", values, areas)
     factor = np.where(energy > 0, counted.energies()[0] / np.where(energy > 0, energy, 1.0), 1.0)
-    factor = factor[:, None, None, :]
-    return values * factor, std_error * factor
+    values *= factor[:, None, None, :]
+    std_error *= factor[:, None, None, :]
 
 
 def _spread(sheet: SheetTally, paths: NDArray[np.int64], batches: BatchTracer) -> tuple[Array, Array]:

@@ -187,7 +187,7 @@ class Measurement:
         if self.half_vector is None:
             return list(self.tally.totals), [list(orders) for orders in self.tally.orders]
         total, orders = combine(self.half_vector, self.tally, self.batches, self.threads)
-        return [total], [orders if self.specimen.grid.orders > 1 else []]
+        return [total], [orders]
 
     def judge(self) -> Verdict:
         """How well it is known."""

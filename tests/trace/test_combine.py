@@ -69,6 +69,7 @@ def test_a_block_follows_its_paths_as_far_as_these_know_it_better(hits, own, exp
         energies=lambda: (energy.sum((1, 2)),),
     )
     batches = SimpleNamespace(areas=areas, bin_areas=np.full((1, 2), 2.0))
-    found, error = _anchor(values, own * values, counted, batches)
+    found, error = values.copy(), own * values
+    _anchor(found, error, counted, batches)
     assert found == pytest.approx(expected * values, rel=0.02)
     assert np.all(error <= 1.01 * own * values)
