@@ -79,13 +79,7 @@ def account(problem: Problem, point: Point) -> Account:
         part = slice(chunk * n // chunks, (chunk + 1) * n // chunks)
         _account(
             *shapes,
-            *cells.nodes,
-            cells.exact_rows,
-            cells.cells[part],
-            cells.levels[part],
-            cells.values[part],
-            cells.weights[part],
-            cells.cos_i[part],
+            *cells.part(part),
             samples.sin_i[part],
             samples.sin_o[part],
             variance[part],

@@ -10,33 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.models.dispatch import lobe_terms
+from fitting.moments import average
 from gonio.core.jit import kernel
 from gonio.core.parallel import for_each
 
 CHUNKS = 32  # fixed, so that sums do not depend on the number of threads
-
-
-@kernel
-def _average_terms(kinds, shapes, rows, rings, sectors, cell, level, exact_rows, out):
-    """Averages of every lobe's two terms over one cell, into `out`, shape (2 lobes,)."""
-    i, r, s = cell[0], cell[1], cell[2]
-    nodes = 1 << level
-    row_nodes = 1 if exact_rows else nodes
-    for k in range(len(out)):
-        out[k] = 0.0
-    for a in range(row_nodes):
-        wi = (rows[level, i, a, 0], 0.0, rows[level, i, a, 1])
-        for b in range(nodes):
-            sine, cosine = rings[level, r, b, 0], rings[level, r, b, 1]
-            weight = rows[level, i, a, 2] * rings[level, r, b, 2]
-            for c in range(nodes):
-                wo = (sine * sectors[level, s, c, 1], sine * sectors[level, s, c, 0], cosine)
-                w = weight * sectors[level, s, c, 2]
-                for k in range(len(kinds)):
-                    first, second = lobe_terms(kinds[k], shapes[k], wi, wo)
-                    out[2 * k] += w * first
-                    out[2 * k + 1] += w * second
 
 
 def cell_terms(
@@ -60,22 +38,27 @@ def cell_terms(
     ndarray, shape (N, 2 L)
         1/sr.
     """
-    n = len(cells)
-    out = np.empty((n, 2 * len(kinds)))
+    n, lobes = len(cells), len(kinds)
+    out = np.empty((n, 2 * lobes))
+    counts = np.tile(np.array([2, 0]), (lobes, 1))  # both terms of each lobe, no derivatives
+    tangents = np.empty((lobes, 0, shapes.shape[1]))
 
     def task(chunk: int) -> None:
         part = slice(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS)
-        _cell_terms(kinds, shapes, *nodes, cells[part], levels[part], exact_rows, out[part])
+        _cell_terms(kinds, counts, shapes, tangents, *nodes, cells[part], levels[part], exact_rows, out[part])
 
     for_each(task, CHUNKS)
     return out
 
 
-@kernel(allocates=False)
-def _cell_terms(kinds, shapes, rows, rings, sectors, cells, levels, exact_rows, out):
+@kernel
+def _cell_terms(kinds, counts, shapes, tangents, rows, rings, sectors, cells, levels, exact_rows, out):
+    scratch = np.empty(0)
     for index in range(len(cells)):
-        level = np.int64(levels[index])
-        _average_terms(kinds, shapes, rows, rings, sectors, cells[index], level, exact_rows, out[index])
+        average(
+            kinds, counts, shapes, tangents, rows, rings, sectors, exact_rows,
+            cells[index], np.int64(levels[index]), False, scratch, out[index],
+        )  # fmt: skip
 
 
 @kernel

@@ -12,7 +12,7 @@ v holds the terms of all lobes first, then for every parameter the derivatives o
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,11 @@ class Cells(NamedTuple):
     values: Array
     weights: Array
     cos_i: Array
+
+    def part(self, chosen: slice) -> tuple[Any, ...]:
+        """Some of the cells, as arguments of the compiled loops."""
+        each = (self.cells, self.levels, self.values, self.weights, self.cos_i)
+        return (*self.nodes, self.exact_rows, *(array[chosen] for array in each))
 
 
 class Moments(NamedTuple):
@@ -108,13 +113,7 @@ def moments(
         part = slice(chunk * n // chunks, (chunk + 1) * n // chunks)
         _moments(
             *shapes,
-            *cells.nodes,
-            cells.exact_rows,
-            cells.cells[part],
-            cells.levels[part],
-            cells.values[part],
-            cells.weights[part],
-            cells.cos_i[part],
+            *cells.part(part),
             factors,
             difference,
             scale,

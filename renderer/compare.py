@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -42,10 +42,6 @@ class Difference:
     mean_relative: float
     bias: float
     bias_std_error: float
-
-    def to_dict(self) -> dict[str, float]:
-        """The numbers by name."""
-        return asdict(self)
 
 
 def compare(image: Image, reference: Image) -> Difference:

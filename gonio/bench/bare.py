@@ -17,8 +17,6 @@ from gonio.core.embree import (
     DIR_Y,
     DIR_Z,
     GEOM_ID,
-    INST_ID,
-    INST_PRIM_ID,
     MISS,
     NORMAL_X,
     NORMAL_Y,
@@ -119,8 +117,6 @@ def _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, led
                     active -= 1
                 packet[T_FAR, lane] = _FAR
                 ints[GEOM_ID, lane] = MISS
-                ints[INST_ID, lane] = MISS
-                ints[INST_PRIM_ID, lane] = MISS
 
 
 @kernel(allocates=False)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from gonio.table.checks import relative_noise
+from gonio.table.table import Table
 from gonio.trace.estimators import ANALOG, ESTIMATORS, choose
 from gonio.trace.measurement import Measurement
 from microgeometry.specimen import Specimen, parse_specimen
@@ -62,16 +63,15 @@ def _measure(specimen: Specimen, estimator: str) -> tuple[float, float]:
     """Seconds taken, and median relative error of the cells that hold the light."""
     _trace(specimen, estimator, 0.0)  # compiles
     started = time.perf_counter()
-    table = _trace(specimen, estimator, _SECONDS).table()
+    table = _trace(specimen, estimator, _SECONDS)
     return time.perf_counter() - started, float(np.median(relative_noise(table)))
 
 
-def _trace(specimen: Specimen, estimator: str, seconds: float) -> Measurement:
+def _trace(specimen: Specimen, estimator: str, seconds: float) -> Table:
     measurement = Measurement(specimen, rays=_RAYS, estimator=estimator)
     while measurement.seconds < seconds or measurement.tally.batches < 2:
         measurement.add_batch()
-    measurement.light()
-    return measurement
+    return measurement.table()
 
 
 def _specimens(say: Callable[[str], None]) -> dict[str, Specimen]:

@@ -60,13 +60,6 @@ def rotation(e, d, e_new):
 
 
 @kernel(allocates=False)
-def rotate(q, u, e, d, e_new):
-    """Stokes parameters (Q, U) against `e_new` of light that has `q`, `u` against `e`; see `rotation`."""
-    c, s = rotation(e, d, e_new)
-    return c * q + s * u, c * u - s * q
-
-
-@kernel(allocates=False)
 def mueller(i, q, u, v, a_s2, a_p2, cross):
     """Stokes vector (I, Q, U, V) after an interaction that multiplies E_s by a_s and E_p by a_p.
 

@@ -116,10 +116,11 @@ class BatchTracer:
 
     def new_half_vector(self) -> HalfVector | None:
         """Empty sums of single bounces, where the estimator has them."""
-        if self.alpha is None or self.tracer.optics is None:
+        if self.alpha is None:
             return None
-        grid = self.job.specimen.grid
-        return HalfVector(self.tracer.optics, self.tracer.to_channels, grid.n_samples, self.alpha)
+        assert self.tracer.optics is not None  # `gonio.trace.estimators.choose`
+        samples = self.job.specimen.grid.n_samples
+        return HalfVector(self.tracer.optics, self.tracer.to_channels, samples, self.alpha)
 
     def new_accumulators(self) -> tuple[Array, ...]:
         """Empty accumulators for `trace`, as those of `new_tally`."""

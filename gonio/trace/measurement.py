@@ -163,7 +163,8 @@ class Measurement:
         with uninterrupted():
             passes = self.schedule.passes(self.tally.batches)
             self.tally.close_batch(passes, self.batches.paths_per_pass, self.threads)
-            if self.half_vector is not None and facets is not None:
+            if self.half_vector is not None:
+                assert facets is not None  # measured with every batch
                 self.half_vector.add(facets)
             self.schedule.advance(self.tally, self.judge)
             self.seconds += time.perf_counter() - started

@@ -16,7 +16,7 @@ import pytest
 from gonio.core.films import film_amplitudes
 from gonio.core.optics import fresnel_amplitudes, fresnel_transmission, refract
 from gonio.core.phase import RAYLEIGH, phase_value, rayleigh_polarisation
-from gonio.core.stokes import mueller, perpendicular, rotate
+from gonio.core.stokes import mueller, perpendicular, rotation
 
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 UNPOLARISED = (1.0, 0.0, 0.0, 0.0)
@@ -35,6 +35,12 @@ def stokes_of(field, e, d):
 
 def _parts(z):
     return z.real, z.imag
+
+
+def rotate(q, u, e, d, e_new):
+    """Q and U against another axis, as `rotation` says."""
+    c, s = rotation(e, d, e_new)
+    return c * q + s * u, c * u - s * q
 
 
 def turned(stokes, e, d, e_new):
