@@ -34,6 +34,7 @@ from gonio.core.jit import kernel
 from gonio.core.lookup import find
 from gonio.core.philox import uniforms
 from gonio.trace.analog import morton
+from gonio.trace.horizon import escapes
 from gonio.trace.tracer import MAX_BOUNCES
 from gonio.trace.transport import MAX_SEGMENTS, start_packet
 
@@ -42,13 +43,14 @@ _FAR = np.float32(np.inf)
 
 
 @kernel
-def trace_mirror(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, ledger):
+def trace_mirror(embree, box, horizon, theta, phi, sin_i, strata, first, last, seed, cells, ledger):
     """Trace packets first ... last - 1 of strata x strata over a rough mirror, from one angle of incidence.
 
     Parameters
     ----------
     embree : Handle
     box : Box
+    horizon : Horizon
     theta, phi : Axis
         Edges of sin^2 theta_r and -cos(delta phi).
     sin_i : float
@@ -60,12 +62,16 @@ def trace_mirror(embree, box, theta, phi, sin_i, strata, first, last, seed, cell
     """
     bounces = np.zeros(PACKET_WIDTH, np.int64)
     own = np.zeros(5)  # apart: threads that write to one cache line wait for each other
-    _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, own, new_packet(), bounces)
+    _trace(
+        embree, box, horizon, theta, phi, sin_i, strata, first, last, seed, cells, own, new_packet(), bounces
+    )
     ledger += own
 
 
 @kernel(allocates=False)
-def _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, ledger, packet, bounces):
+def _trace(
+    embree, box, horizon, theta, phi, sin_i, strata, first, last, seed, cells, ledger, packet, bounces
+):
     ints = packet.view(np.int32)
     dx, dy = box.width_x / (4 * strata), box.width_y / (4 * strata)
     sectors = phi.edges.shape[0] - 1
@@ -86,7 +92,7 @@ def _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, led
             for lane in range(PACKET_WIDTH):
                 if ints[VALID, lane] == 0:
                     continue
-                ended = segments >= MAX_SEGMENTS
+                ended, out = segments >= MAX_SEGMENTS, False
                 if ended:
                     ledger[3] += 1.0
                 elif ints[GEOM_ID, lane] != MISS:
@@ -95,7 +101,14 @@ def _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, led
                         ledger[2] += 1.0
                     elif _reflect(packet, lane, box.lift):
                         bounces[lane] += 1
-                elif _wrap(box, packet, lane):
+                        out = escapes(
+                            horizon,
+                            packet[ORG_X, lane], packet[ORG_Y, lane], packet[ORG_Z, lane],
+                            packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane],
+                        )  # fmt: skip
+                else:
+                    out = _wrap(box, packet, lane)
+                if out:
                     ended = True
                     x, y, z = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
                     if z < _ZERO:
@@ -107,11 +120,12 @@ def _trace(embree, box, theta, phi, sin_i, strata, first, last, seed, cells, led
                         else:
                             wo = (float(x), float(y), float(z))
                             sin2, cos2 = wo[0] * wo[0] + wo[1] * wo[1], wo[2] * wo[2]
-                            cell = find(theta, sin2 / (sin2 + cos2)) * sectors + find(
-                                phi, -cos_delta_phi(wi, wo)
+                            ring, sector = (
+                                find(theta, sin2 / (sin2 + cos2)),
+                                find(phi, -cos_delta_phi(wi, wo)),
                             )
-                            cells[cell, 0] += 1.0
-                            cells[cell, 1] += 1.0
+                            cells[ring * sectors + sector, 0] += 1.0
+                            cells[ring * sectors + sector, 1] += 1.0
                 if ended:
                     ints[VALID, lane] = 0
                     active -= 1

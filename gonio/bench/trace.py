@@ -114,7 +114,7 @@ def _bare(seed: int, theta_i_deg: float) -> float:
     A new realisation each time, as the instrument has: one traced before is still in the caches, and up
     to 10 % faster.
     """
-    scene = TraceScene([_specimen(0).surface.realise(seed)])
+    scene = TraceScene([_specimen(0).surface.realise(seed)], horizon=True)
     strata, pieces = 256, 32
     packets = strata * strata
     theta = axis(np.sin(np.radians(np.arange(91))) ** 2)
@@ -125,8 +125,9 @@ def _bare(seed: int, theta_i_deg: float) -> float:
     def trace(piece: int) -> None:
         first, last = piece * packets // pieces, (piece + 1) * packets // pieces
         trace_mirror(
-            scene.embree, scene.box, theta, phi, sin_i, strata, first, last, 0, cells[piece], ledger[piece]
-        )
+            scene.embree, scene.box, scene.horizon, theta, phi, sin_i, strata, first, last, 0,
+            cells[piece], ledger[piece],
+        )  # fmt: skip
 
     started = time.perf_counter()
     for_each(trace, pieces, None)

@@ -80,7 +80,7 @@ class Part(NamedTuple):
 
 @kernel
 def trace_surface(
-    embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, sums
+    embree, box, horizon, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, sums
 ):  # fmt: skip
     """Trace packets over one opaque surface and bin them by where they leave.
 
@@ -88,6 +88,7 @@ def trace_surface(
     ----------
     embree : Handle
     box : Box
+    horizon : Horizon or None
     coherent : bool
         As in `trace_packet`.
     eta_k, albedo : ndarray or None
@@ -111,7 +112,7 @@ def trace_surface(
     absorbed = np.zeros(samples)
     own = _own(sums)
     _trace_packets(
-        embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, own,
+        embree, box, horizon, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, own,
         new_packet(), weight, polarisation, axis, retreat, bounces, status, absorbed,
     )  # fmt: skip
     _add(own, sums)
@@ -120,7 +121,7 @@ def trace_surface(
 # apart from its caller, so that numba counts no references to arrays in the loop
 @kernel(allocates=False)
 def _trace_packets(
-    embree, box, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
+    embree, box, horizon, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
     packet, weight, polarisation, axis, retreat, bounces, status, absorbed,
 ):  # fmt: skip
     packets = part.strata_x * part.strata_y
@@ -134,7 +135,7 @@ def _trace_packets(
         start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, batch, path)
         mirror_x, mirror_y = packet[DIR_X, 0], packet[DIR_Y, 0]
         sums.ledger[RAYS] += trace_packet(
-            embree, box, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path,
+            embree, box, horizon, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path,
             weight, polarisation, axis, retreat, bounces, status, absorbed,
         )  # fmt: skip
         _exit(packet, azimuth)

@@ -93,7 +93,7 @@ class BatchTracer:
             self._sin2 = np.sin(self.theta_i) ** 2, np.sin(self.theta_i) ** 2
         self._strata = 2 ** (job.exponent // 2), 2 ** (job.exponent - job.exponent // 2)
         self.paths_per_pass = 16 * 2**job.exponent
-        self.tracer = Tracer(job.specimen, job.seed, self.paths_per_pass)
+        self.tracer = Tracer(job.specimen, job.seed, self.paths_per_pass, len(self.theta_i))
         self.alpha = roughness(self.tracer) if job.estimator == HALF_VECTOR else None
         self._orders = grid.orders if self.alpha is None else max(2, grid.orders)
         merged = (1, 1) if self.alpha is None else block_size(self.alpha, *self.areas.shape)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.core.embree import Handle, Scene
+from gonio.trace.horizon import Horizon, find_horizon
 from microgeometry.materials import Conductor, Lambert, Mirror
 from microgeometry.specimen import Layer
 from microgeometry.tile import HeightField, Tile, TriangleMesh
@@ -41,6 +42,8 @@ class TraceScene:
         precision before Embree's single precision sees them. Tile g is geometry g.
     shifts : sequence of float, optional
         How far each is lifted first, metres.
+    horizon : bool
+        Whether to find the horizon, where a height field stands alone.
 
     Attributes
     ----------
@@ -52,9 +55,12 @@ class TraceScene:
         Height, in metres, that the unit tile has as z = 0.
     facets : int
         Number of triangles.
+    horizon : Horizon or None
     """
 
-    def __init__(self, tiles: Sequence[Tile], shifts: Sequence[float] | None = None) -> None:
+    def __init__(
+        self, tiles: Sequence[Tile], shifts: Sequence[float] | None = None, *, horizon: bool = False
+    ) -> None:
         heights = [_heights(tile) for tile in tiles]
         lifts = [0.0] * len(tiles) if shifts is None else shifts
         low = min(float(z.min()) + lift for z, lift in zip(heights, lifts, strict=True))
@@ -76,6 +82,9 @@ class TraceScene:
                 self.facets += len(tile.faces)
         self._scene.commit()
         self.embree: Handle = self._scene.handle
+        self.horizon: Horizon | None = None
+        if horizon and len(tiles) == 1 and isinstance(tiles[0], HeightField):
+            self.horizon = find_horizon(z, width * scale, depth * scale)
         half = 0.5 * (high - low) * scale
         self.box = Box(
             np.float32(width * scale),

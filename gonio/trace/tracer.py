@@ -12,13 +12,16 @@ from gonio.trace.scene import Optics, TraceScene, pack_optics
 from gonio.trace.stack import Stack, StackScene, pack_stack
 from gonio.trace.transport import MAX_SEGMENTS
 from microgeometry.specimen import Specimen
-from microgeometry.tile import SurfaceStatistics, Tile
+from microgeometry.tile import HeightField, SurfaceStatistics, Tile
 
 MAX_BOUNCES = 10_000
 # In a medium that hardly absorbs, light scatters thousands of times before it is out; most of these take one
 # segment of the path, some two or three, and the cap on segments would call it lost.
 MAX_SCATTERINGS = MAX_SEGMENTS // 4
 _STATISTICS_TILES = 8  # realisations whose facets are measured
+_HORIZON_PATHS = (
+    2  # of a realisation, a sample of it, from which on the horizon saves more time than it takes (measured)
+)
 _COHERENT_FACETS = 8  # facets per path of a row below which coherent packets are faster (measured)
 
 
@@ -39,6 +42,7 @@ class Tracer:
     seed : int
     paths_per_row : int
         Of a batch.
+    rows : int
 
     Attributes
     ----------
@@ -60,12 +64,13 @@ class Tracer:
         The specimen's facets cannot be packed; see `gonio.trace.stack.pack_stack`.
     """
 
-    def __init__(self, specimen: Specimen, seed: int, paths_per_row: int) -> None:
+    def __init__(self, specimen: Specimen, seed: int, paths_per_row: int, rows: int = 1) -> None:
         self.stack: Stack = pack_stack(specimen)
         self.hemispheres = 2 if self.stack.transmits else 1
         self._specimen = specimen
         self._seed = seed
         self._paths_per_row = paths_per_row
+        self._paths = paths_per_row * rows
         layers = specimen.layers
         self.optics = pack_optics(layers[0]) if len(layers) == 1 else None
         self.ledger_names: tuple[str, ...] = ()
@@ -111,6 +116,12 @@ class Tracer:
             for tiles in zip(*self._statistics, strict=True)
         ]
 
+    def _finds_horizon(self, tile: Tile) -> bool:
+        """Whether so many paths meet a realisation that the rays saved are worth the horizon."""
+        if not isinstance(tile, HeightField):
+            return False
+        return not self._specimen.is_random or self._paths >= _HORIZON_PATHS * tile.heights.size
+
     def _tiles(self, batch: int) -> list[Tile]:
         """One period of each layer's surface."""
         return [
@@ -131,7 +142,7 @@ class Surface:
 
     def __init__(self, tracer: Tracer, optics: Optics, tile: Tile) -> None:
         self.tile = tile
-        self.scene = TraceScene([tile])
+        self.scene = TraceScene([tile], horizon=tracer._finds_horizon(tile))
         self._tracer = tracer
         self._optics = optics
         self._coherent = tracer._paths_per_row * _COHERENT_FACETS >= self.scene.facets
@@ -140,8 +151,8 @@ class Surface:
         """As `Realisation.trace`."""
         tracer, scene = self._tracer, self.scene
         trace_surface(
-            scene.embree, scene.box, self._coherent, *self._optics, tracer.to_channels, bins, beam, part,
-            tracer._seed, batch, MAX_BOUNCES, sums,
+            scene.embree, scene.box, scene.horizon, self._coherent, *self._optics, tracer.to_channels, bins,
+            beam, part, tracer._seed, batch, MAX_BOUNCES, sums,
         )  # fmt: skip
 
 

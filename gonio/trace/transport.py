@@ -42,6 +42,7 @@ from gonio.core.jit import kernel
 from gonio.core.optics import fresnel_amplitudes, fresnel_conductor
 from gonio.core.philox import uniforms
 from gonio.core.stokes import mueller, perpendicular, rotation
+from gonio.trace.horizon import escapes
 
 # How a path ended. Every path has exactly one of these.
 REFLECTED = 1  # left through the plane above
@@ -107,6 +108,7 @@ def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
 def trace_packet(
     embree,
     box,
+    horizon,
     coherent,
     packet,
     eta_k,
@@ -129,6 +131,8 @@ def trace_packet(
     ----------
     embree : Handle
     box : Box
+    horizon : Horizon or None
+        Paths that climb past it are out without another ray.
     coherent : bool
         Whether neighbouring paths start within a few facets of each other: Embree then traces them
         together, else each for itself.
@@ -199,6 +203,8 @@ def trace_packet(
                 status[lane] = end
                 ints[VALID, lane] = 0
                 active -= 1
+        if horizon is not None and active > 0:
+            active -= _escape(horizon, packet, status)
         for lane in range(PACKET_WIDTH):
             packet[T_FAR, lane] = _FAR
             ints[GEOM_ID, lane] = MISS
@@ -255,6 +261,26 @@ def _arrive(box, packet, reflects, retreat, bounces):
         y += vy * to_top
         inside = (x >= _ZERO) & (x <= box.width_x) & (y >= _ZERO) & (y <= box.width_y)
         packet[LEAVES, lane] = _ONE if (vz > _ZERO) & inside else _ZERO
+
+
+@kernel(allocates=False)
+def _escape(horizon, packet, status):
+    """End the paths that have just left a facet and will meet no other; returns how many."""
+    if packet.shape[1] != PACKET_WIDTH:  # tells the compiler
+        return 0
+    ints = packet.view(np.int32)
+    ended = 0
+    for lane in range(PACKET_WIDTH):
+        left = (ints[VALID, lane] != 0) & (ints[GEOM_ID, lane] != MISS) & (packet[D_N, lane] < _ZERO)
+        if left and escapes(
+            horizon,
+            packet[ORG_X, lane], packet[ORG_Y, lane], packet[ORG_Z, lane],
+            packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane],
+        ):  # fmt: skip
+            status[lane] = REFLECTED
+            ints[VALID, lane] = 0
+            ended += 1
+    return ended
 
 
 @kernel(allocates=False)

@@ -14,7 +14,9 @@ from microgeometry.surfaces.flat import Flat
 
 
 @kernel
-def _trace(embree, box, eta_k, albedo, wi, side, max_bounces, seed, exits, weight, bounces, status, absorbed):
+def _trace(
+    embree, box, horizon, eta_k, albedo, wi, side, max_bounces, seed, exits, weight, bounces, status, absorbed
+):  # fmt: skip
     packet = new_packet()
     polarisation = None if eta_k is None else np.empty((PACKET_WIDTH, weight.shape[1], 3))
     axis = None if eta_k is None else np.empty((PACKET_WIDTH, 3))
@@ -27,7 +29,7 @@ def _trace(embree, box, eta_k, albedo, wi, side, max_bounces, seed, exits, weigh
         start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, 0, path)
         lanes = slice(path, path + PACKET_WIDTH)
         rays += trace_packet(
-            embree, box, True, packet, eta_k, albedo, max_bounces, seed, 0, path,
+            embree, box, horizon, True, packet, eta_k, albedo, max_bounces, seed, 0, path,
             weight[lanes], polarisation, axis, retreat, bounces[lanes], status[lanes], absorbed,
         )  # fmt: skip
         for lane in range(PACKET_WIDTH):
@@ -40,8 +42,8 @@ def _trace(embree, box, eta_k, albedo, wi, side, max_bounces, seed, exits, weigh
 class Paths:
     """Paths from one direction (azimuth 0: light in the xz plane, from +x), stratified over the tile."""
 
-    def __init__(self, tile, material, theta_i_deg, side=32, seed=0, max_bounces=64):
-        scene = TraceScene([tile])
+    def __init__(self, tile, material, theta_i_deg, side=32, seed=0, max_bounces=64, horizon=True):
+        scene = TraceScene([tile], horizon=horizon)
         optics = pack_optics(Layer(Flat(), material))
         channels = 1
         for field in optics:
@@ -54,7 +56,7 @@ class Paths:
         self.absorbed = np.zeros(channels)
         wi = tuple(direction(np.radians(theta_i_deg)).tolist())
         self.rays = _trace(
-            scene.embree, scene.box, *optics, wi, side, max_bounces, seed,
+            scene.embree, scene.box, scene.horizon, *optics, wi, side, max_bounces, seed,
             self.exits, self.weight, self.bounces, self.status, self.absorbed,
         )  # fmt: skip
 
