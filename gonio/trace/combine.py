@@ -81,7 +81,7 @@ def combine(
     estimates = [(values.reshape(shape), std_error.reshape(shape))]
     counted = tally.orders[0]
     _anchor(*estimates[0], counted[0], batches)
-    estimates += [_spread(sheet, tally.rows.paths, batches) for sheet in counted[1:]]
+    estimates += [_spread(sheet, batches) for sheet in counted[1:]]
     for (values, std_error), sheet in zip(estimates, counted, strict=True):
         _scale(values, std_error, sheet, batches.areas)
     orders = [Combined(*estimate, sheet) for estimate, sheet in zip(estimates, counted, strict=True)]
@@ -134,19 +134,10 @@ def _scale(values: Array, std_error: Array, counted: SheetTally, areas: Array) -
     std_error *= factor[:, None, None, :]
 
 
-def _spread(sheet: SheetTally, paths: NDArray[np.int64], batches: BatchTracer) -> tuple[Array, Array]:
-    """From blocks to cells; `paths` were traced in each row."""
-    values, std_error = sheet.cells(batches.bin_areas)
-    # Alone, an empty block may hold up to three paths. Here it is one term of a sum, and its error what blocks like
-    # it scatter: the square root of their mean.
-    hits = sheet.hits.reshape(values.shape[:3])
-    total = hits.sum(axis=(1, 2))
-    weight = sheet.energies()[0] * (paths / np.maximum(total, 1))[:, None]  # mean of a path's
-    mean = np.maximum(hits.mean(axis=2, keepdims=True), (total[:, None, None] + 1) / hits[0].size)
-    scatter = (
-        np.sqrt(mean)[..., None] * (weight / paths[:, None])[:, None, None] / batches.bin_areas[..., None]
-    )
-    std_error = np.where((hits == 0)[..., None], scatter, std_error)
+def _spread(sheet: SheetTally, batches: BatchTracer) -> tuple[Array, Array]:
+    """From blocks to cells."""
+    rows = [sheet.row_terms(row, batches.bin_areas) for row in range(len(batches.theta_i))]
+    values, std_error = (np.stack(part) for part in zip(*rows, strict=True))
     variance = std_error**2
     theta_r, delta_phi = (0.5 * (e[1:] + e[:-1]) for e in (batches.theta_edges, batches.phi_edges))
     theta_i = None

@@ -60,22 +60,39 @@ def cell_errors(
     """
     if paths == 0 or not hits.any():
         return np.full(mean.shape, _BOUND / max(paths, 1))
+    found = np.where((hits == 0)[:, :, None], 0.0, term_errors(mean, variance, hits, projected_solid_angles))
     own = hits.astype(float)
-    row_kind = variance.sum(axis=(0, 1)) / own.sum(), mean.sum(axis=(0, 1)) / own.sum()
-    per_path, clump = _kinds(mean, variance, own, *row_kind)
+    # of the row: around an empty cell there may be nothing; and 1 unless it is larger beyond chance
+    row_clump = float(_clump(*_row_kind(mean, variance, own)))
+    chance = np.sqrt(np.sum(own**2 / _PAIRS_OF_BATCHES + own)) / own.sum()
+    bound = _BOUND / paths * (row_clump if row_clump > 1.0 + 3.0 * chance else 1.0)
+    return np.where(found > 0, found, bound)
+
+
+def term_errors(
+    mean: Array, variance: Array, hits: NDArray[np.int64], projected_solid_angles: Array
+) -> Array:
+    """Standard error of each cell where it is one term of a sum over many; as `cell_errors`, but no bounds.
+
+    An empty cell scatters by what is expected in it. Its bound would be right for the cell alone, and far too much for
+    the sum of a hundred such cells. 0 where nothing is near.
+    """
+    own = hits.astype(float)
+    if not hits.any():
+        return np.zeros_like(mean)
+    per_path, clump = _kinds(mean, variance, own, *_row_kind(mean, variance, own))
     expected = _expected(own / clump, projected_solid_angles) * clump
     pooled = per_path * expected[:, :, None]
     trust = (expected / clump)[:, :, None]
     found = np.sqrt((trust * variance + PRIOR * pooled) / (trust + PRIOR))
     # no scatter in any cell around, by stratification or a lucky few: Poisson's error of the paths counted
     poisson = np.abs(mean) / np.sqrt(np.maximum(own, 1.0))[:, :, None]
-    found = np.where(found > 0, found, poisson)
-    found[hits == 0] = 0.0
-    # of the row: around an empty cell there may be nothing; and 1 unless it is larger beyond chance
-    row_clump = float(_clump(*row_kind))
-    chance = np.sqrt(np.sum(own**2 / _PAIRS_OF_BATCHES + own)) / own.sum()
-    bound = _BOUND / paths * (row_clump if row_clump > 1.0 + 3.0 * chance else 1.0)
-    return np.where(found > 0, found, bound)
+    return np.where(found > 0, found, poisson)
+
+
+def _row_kind(mean: Array, variance: Array, own: Array) -> tuple[Array, Array]:
+    """Variance and energy of a path in the whole row, shape (channels,)."""
+    return variance.sum(axis=(0, 1)) / own.sum(), mean.sum(axis=(0, 1)) / own.sum()
 
 
 def _kinds(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.core.jit import kernel
-from gonio.trace.error_bars import cell_errors
+from gonio.trace.error_bars import cell_errors, term_errors
 
 Array = NDArray[np.float64]
 
@@ -183,14 +183,22 @@ class SheetTally:
     def row_cells(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
         """One row of `cells`; how errors are found is said in `gonio.trace.error_bars`."""
         omega = projected_solid_angles[:, :, None]
+        mean, variance, hits = self._row(row, projected_solid_angles)
+        std_error = cell_errors(mean, variance, hits, projected_solid_angles, self._counts.paths[row])
+        return mean / omega, std_error / omega
+
+    def row_terms(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
+        """As `row_cells`, with the errors of cells that are added up (`gonio.trace.error_bars.term_errors`)."""
+        omega = projected_solid_angles[:, :, None]
+        mean, variance, hits = self._row(row, projected_solid_angles)
+        return mean / omega, term_errors(mean, variance, hits, projected_solid_angles) / omega
+
+    def _row(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Energy in each cell of a row, its variance by the scatter of batches, and paths."""
         shape = (*projected_solid_angles.shape, -1)
         weight = self._counts.weight[row]
-        mean = self._mean[row].reshape(shape)
-        variance = self._square[row].reshape(shape) / (max(weight - 1.0, 1.0) * max(weight, 1.0))
-        std_error = cell_errors(
-            mean, variance, self.hits[row].reshape(shape[:2]), projected_solid_angles, self._counts.paths[row]
-        )
-        return mean / omega, std_error / omega
+        variance = self._square[row] / (max(weight - 1.0, 1.0) * max(weight, 1.0))
+        return self._mean[row].reshape(shape), variance.reshape(shape), self.hits[row].reshape(shape[:2])
 
     def energies(self) -> tuple[Array, Array, Array, Array]:
         """All energy of each row, its error, the delta term, its error; shape (rows, channels) each."""

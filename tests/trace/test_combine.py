@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gonio.trace.combine import _anchor
+from gonio.trace.error_bars import cell_errors, term_errors
 from gonio.trace.estimators import ANALOG, HALF_VECTOR
 from gonio.trace.measure import measure
 from microgeometry.specimen import parse_specimen
@@ -73,3 +74,21 @@ def test_a_block_follows_its_paths_as_far_as_these_know_it_better(hits, own, exp
     _anchor(found, error, counted, batches)
     assert found == pytest.approx(expected * values, rel=0.02)
     assert np.all(error <= 1.01 * own * values)
+
+
+@pytest.mark.parametrize("expected", [0.1, 1.0, 10.0])
+def test_errors_of_a_sum_are_those_of_its_terms(expected):
+    """Cells that expect few paths each, most of them none: the squares of their errors add up to the sum's own."""
+    areas = np.ones((30, 60))
+    rng = np.random.default_rng(3)
+    claimed = []
+    for _ in range(20):
+        batches = rng.poisson(expected / 32, (32, *areas.shape))
+        mean, variance = batches.mean(0) / 100, batches.var(0, ddof=1) / 32 / 100**2
+        arguments = mean[..., None], variance[..., None], batches.sum(0), areas
+        claimed.append(np.sum(term_errors(*arguments) ** 2))
+    true = areas.size * expected / 32**2 / 100**2
+    # a cell that has a path is given the error of one that expects 0.26 at least
+    assert 0.9 < np.mean(claimed) / true < (1.4 if expected < 1 else 1.1)
+    if expected < 1:
+        assert np.sum(cell_errors(*arguments, 3200) ** 2) > 10 * true
