@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from gonio.core.directions import projected_solid_angles
 from gonio.core.lookup import axis
 from gonio.core.parallel import for_each
-from gonio.trace.analog import Beam, Bins, Part, Sums
-from gonio.trace.estimators import ANALOG, HALF_VECTOR, roughness
+from gonio.trace.analog import RAYS, Beam, Bins, Part, Sums
+from gonio.trace.estimators import ANALOG, HALF_VECTOR, NEXT_EVENT, roughness
 from gonio.trace.facets import measure_facets
 from gonio.trace.half_vector import HalfVector
+from gonio.trace.next_event import LambertLooks
 from gonio.trace.remainder import block_size
 from gonio.trace.tally import Tally, new_accumulators
 from gonio.trace.tracer import Surface, Tracer
@@ -69,6 +70,8 @@ class BatchTracer:
         The same of the cells that paths are binned in: larger ones, where they carry smooth light only.
     alpha : float or None
         Roughness, where facets are measured for the half-vector estimator.
+    looks : LambertLooks or None
+        What fills the cells of a Lambertian surface, where the estimator is next-event.
     paths_per_pass : int
     tracer : Tracer
         How the specimen is traced.
@@ -108,6 +111,16 @@ class BatchTracer:
             self._orders,
             self.tracer.stack.share,
         )
+        self.looks: LambertLooks | None = None
+        if job.estimator == NEXT_EVENT:
+            assert self.tracer.optics is not None
+            assert self.tracer.optics.albedo is not None
+            self.looks = LambertLooks(
+                self.tracer.optics.albedo, self.tracer.to_channels, self._orders, self.theta_i,
+                self.theta_i_edges, self.theta_edges, self.areas.shape[1], job.seed,
+            )  # fmt: skip
+            # paths are counted, but in no cell
+            self._bins = self._bins._replace(theta=axis([0.0, 1.0]), phi=axis([-1.0, 1.0]))
         self.seconds = 0.0
 
     def new_tally(self) -> Tally:
@@ -163,7 +176,8 @@ class BatchTracer:
             row, number = slots[slot]
             beam = Beam(row, float(self._sin2[0][row]), float(self._sin2[1][row]))
             part = Part(*self._strata, chunk * packets // chunks, (chunk + 1) * packets // chunks)
-            sums = Sums(cells[place], specular[place], energy[place], ledger[place])
+            own = cells[place] if self.looks is None else np.zeros((cells.shape[2], 1, cells.shape[4]))
+            sums = Sums(own, specular[place], energy[place], ledger[place])
             realisation.trace(self._bins, beam, part, batch + number * _BATCHES, sums)
 
         started = time.perf_counter()
@@ -180,6 +194,11 @@ class BatchTracer:
                 self.job.seed,
                 batch,
                 threads,
+            )
+        if self.looks is not None:
+            assert isinstance(realisation, Surface)
+            ledger[0, 0, RAYS] += self.looks.measure(
+                realisation.tile, realisation.scene, batch, passes, self.paths_per_pass, cells, threads
             )
         self.seconds += time.perf_counter() - started
         return facets

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gonio.trace.tracer import Tracer
 from microgeometry.errors import InputError
-from microgeometry.materials import Conductor, Mirror
+from microgeometry.materials import Conductor, Lambert, Mirror
 from microgeometry.specimen import Specimen
 from microgeometry.surfaces.exponential import Exponential
 from microgeometry.surfaces.gaussian import Gaussian
@@ -14,7 +14,9 @@ ANALOG = "analog"
 """Every path is binned in the cell it leaves through: assumes nothing, does for all specimens."""
 HALF_VECTOR = "half-vector"
 """Single bounces off a rough metal by `gonio.trace.half_vector`; what bounces more is binned in coarse cells."""
-ESTIMATORS = ANALOG, HALF_VECTOR
+NEXT_EVENT = "next-event"
+"""Light is joined to detectors wherever it meets a facet or medium that scatters: `gonio.trace.next_event`."""
+ESTIMATORS = ANALOG, HALF_VECTOR, NEXT_EVENT
 
 LEAST_ALPHA = 0.03
 """Below, the distribution of tilts is too steep for the bins of tilt and the points of a 1-degree cell."""
@@ -34,13 +36,13 @@ def choose(specimen: Specimen, seed: int, name: str | None = None) -> str:
         raise InputError(f"estimator: {name!r}; one of {', '.join(ESTIMATORS)} is allowed")
     if name == ANALOG:
         return ANALOG
-    reason = _against_half_vector(specimen, seed)
-    if reason is None:
-        return HALF_VECTOR
-    if name == HALF_VECTOR:
-        raise InputError(
-            f"estimator: half-vector does not do here: {reason}; use analog, or leave the choice"
-        )
+    against = {HALF_VECTOR: _against_half_vector, NEXT_EVENT: _against_next_event}
+    for estimator in against if name is None else (name,):
+        reason = against[estimator](specimen, seed)
+        if reason is None:
+            return estimator
+        if name is not None:
+            raise InputError(f"estimator: {name} does not do here: {reason}; use analog, or leave the choice")
     return ANALOG
 
 
@@ -54,6 +56,13 @@ def _against_half_vector(specimen: Specimen, seed: int) -> str | None:
     alpha = roughness(Tracer(specimen, seed, 1))
     if not alpha >= LEAST_ALPHA:
         return f"the surface's alpha is {alpha:.3g}, and it needs {LEAST_ALPHA:g}"
+    return None
+
+
+def _against_next_event(specimen: Specimen, _seed: int) -> str | None:
+    """Why light cannot be joined to detectors where it scatters; None where it can."""
+    if len(specimen.layers) > 1 or not isinstance(specimen.layers[0].material, Lambert):
+        return "it knows one surface of Lambertian facets only"
     return None
 
 

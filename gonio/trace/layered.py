@@ -200,7 +200,15 @@ def trace_path(
             ids[INST_PRIM_ID] = MISS
             h = zones.embree
             intersect1(
-                Handle(h.intersect1, h.intersect16, h.occluded1, zones.scene[zone], h.coherent, h.incoherent),
+                Handle(
+                    h.intersect1,
+                    h.intersect16,
+                    h.occluded1,
+                    h.occluded16,
+                    zones.scene[zone],
+                    h.coherent,
+                    h.incoherent,
+                ),
                 ray,
             )
             rays += 1

@@ -183,14 +183,22 @@ class SheetTally:
     def row_cells(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
         """One row of `cells`; how errors are found is said in `gonio.trace.error_bars`."""
         omega = projected_solid_angles[:, :, None]
-        shape = (*projected_solid_angles.shape, -1)
-        weight = self._counts.weight[row]
-        mean = self._mean[row].reshape(shape)
-        variance = self._square[row].reshape(shape) / (max(weight - 1.0, 1.0) * max(weight, 1.0))
+        shape = projected_solid_angles.shape
+        mean, variance = self.row_moments(row, shape)
         std_error = cell_errors(
-            mean, variance, self.hits[row].reshape(shape[:2]), projected_solid_angles, self._counts.paths[row]
+            mean, variance, self.hits[row].reshape(shape), projected_solid_angles, self._counts.paths[row]
         )
         return mean / omega, std_error / omega
+
+    def row_moments(self, row: int, shape: tuple[int, ...]) -> tuple[Array, Array]:
+        """Mean energy in the cells of a row, and the variance of that mean; of `shape` and the channels."""
+        weight = self._counts.weight[row]
+        mean = self._mean[row].reshape(*shape, -1)
+        return mean, self._square[row].reshape(mean.shape) / (max(weight - 1.0, 1.0) * max(weight, 1.0))
+
+    def row_batches(self, row: int) -> float:
+        """Batches in which the row took part, as of the size of the last."""
+        return float(self._counts.weight[row])
 
     def energies(self) -> tuple[Array, Array, Array, Array]:
         """All energy of each row, its error, the delta term, its error; shape (rows, channels) each."""
