@@ -17,6 +17,7 @@ from gonio.trace.facets import measure_facets
 from gonio.trace.half_vector import HalfVector
 from gonio.trace.next_event import LambertLooks
 from gonio.trace.remainder import block_size
+from gonio.trace.stack_looks import LOOKS
 from gonio.trace.tally import Tally, new_accumulators
 from gonio.trace.tracer import Surface, Tracer
 from microgeometry.specimen import Specimen
@@ -96,7 +97,8 @@ class BatchTracer:
             self._sin2 = np.sin(self.theta_i) ** 2, np.sin(self.theta_i) ** 2
         self._strata = 2 ** (job.exponent // 2), 2 ** (job.exponent - job.exponent // 2)
         self.paths_per_pass = 16 * 2**job.exponent
-        self.tracer = Tracer(job.specimen, job.seed, self.paths_per_pass)
+        joins = job.estimator == NEXT_EVENT
+        self.tracer = Tracer(job.specimen, job.seed, self.paths_per_pass, LOOKS if joins else None)
         self.alpha = roughness(self.tracer) if job.estimator == HALF_VECTOR else None
         self._orders = grid.orders if self.alpha is None else max(2, grid.orders)
         merged = (1, 1) if self.alpha is None else block_size(self.alpha, *self.areas.shape)
@@ -112,9 +114,8 @@ class BatchTracer:
             self.tracer.stack.share,
         )
         self.looks: LambertLooks | None = None
-        if job.estimator == NEXT_EVENT:
-            assert self.tracer.optics is not None
-            assert self.tracer.optics.albedo is not None
+        if joins and self.tracer.optics is not None:
+            assert self.tracer.optics.albedo is not None  # `gonio.trace.estimators.choose`
             self.looks = LambertLooks(
                 self.tracer.optics.albedo, self.tracer.to_channels, self._orders, self.theta_i,
                 self.theta_i_edges, self.theta_edges, self.areas.shape[1], job.seed,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gonio.trace.tracer import Tracer
 from microgeometry.errors import InputError
-from microgeometry.materials import Conductor, Lambert, Mirror
+from microgeometry.materials import Conductor, Mirror
 from microgeometry.specimen import Specimen
 from microgeometry.surfaces.exponential import Exponential
 from microgeometry.surfaces.gaussian import Gaussian
@@ -61,8 +61,6 @@ def _against_half_vector(specimen: Specimen, seed: int) -> str | None:
 
 def _against_next_event(specimen: Specimen, _seed: int) -> str | None:
     """Why light cannot be joined to detectors where it scatters; None where it can."""
-    if len(specimen.layers) > 1 or not isinstance(specimen.layers[0].material, Lambert):
-        return "it knows one surface of Lambertian facets only"
     return None
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from gonio.trace.analog import Beam, Bins, Part, Sums, trace_stack, trace_surface
 from gonio.trace.scene import Optics, TraceScene, pack_optics
 from gonio.trace.stack import Stack, StackScene, pack_stack
+from gonio.trace.stack_looks import clear_zones
 from gonio.trace.transport import MAX_SEGMENTS
 from microgeometry.specimen import Specimen
 from microgeometry.tile import SurfaceStatistics, Tile
@@ -39,6 +40,8 @@ class Tracer:
     seed : int
     paths_per_row : int
         Of a batch.
+    looks : int, optional
+        Detectors that a stack's light is joined to at every facet that scatters; default: none.
 
     Attributes
     ----------
@@ -60,12 +63,13 @@ class Tracer:
         The specimen's facets cannot be packed; see `gonio.trace.stack.pack_stack`.
     """
 
-    def __init__(self, specimen: Specimen, seed: int, paths_per_row: int) -> None:
+    def __init__(self, specimen: Specimen, seed: int, paths_per_row: int, looks: int | None = None) -> None:
         self.stack: Stack = pack_stack(specimen)
         self.hemispheres = 2 if self.stack.transmits else 1
         self._specimen = specimen
         self._seed = seed
         self._paths_per_row = paths_per_row
+        self._looks = looks
         layers = specimen.layers
         self.optics = pack_optics(layers[0]) if len(layers) == 1 else None
         self.ledger_names: tuple[str, ...] = ()
@@ -152,13 +156,14 @@ class _Layers:
         self._tracer = tracer
         self._scene = StackScene(tracer._specimen.layers, tiles)
         self._facets = self._scene.label(tracer.stack.facets)
+        self.clear = clear_zones(self._scene.zones, self._facets)
 
     def trace(self, bins: Bins, beam: Beam, part: Part, batch: int, sums: Sums) -> None:
         tracer, stack = self._tracer, self._tracer.stack
         max_bounces = MAX_SCATTERINGS if stack.scatters else MAX_BOUNCES
         trace_stack(
             self._scene.zones, self._facets, stack.tables, stack.media, stack.polarised, tracer.to_channels,
-            bins, beam, part, tracer._seed, batch, max_bounces, sums,
+            tracer._looks, self.clear, bins, beam, part, tracer._seed, batch, max_bounces, sums,
         )  # fmt: skip
 
 
