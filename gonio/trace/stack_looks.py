@@ -59,8 +59,9 @@ from gonio.trace.stack import (
     Zones,
 )
 
-LOOKS = 4
+LOOKS = 16
 """Detectors looked at from a facet that scatters."""
+_FACET_LOOKS = 4  # for each one from a collision
 
 _DOWN = (0.0, 0.0, -1.0)
 _SIDEWAYS = (1.0, 0.0, 0.0)
@@ -75,7 +76,7 @@ class Eye(NamedTuple):
     """Detectors, and where their light is summed."""
 
     looks: int
-    """Detectors looked at from a facet; from a collision one."""
+    """Detectors looked at from a facet; from a collision so many / `_FACET_LOOKS`."""
     clear: int
     """As from `clear_zones`."""
     theta: Axis
@@ -158,37 +159,39 @@ def join_collision(
     """Join what a collision scatters to a detector; as `join_facet`, before `scatter` changes the light."""
     if zone >= eye.clear + in_gap:
         return False, 0
-    ring, sector, w, worth = _detector(eye, media, medium, light)
-    if w[2] <= 0.0:
-        return True, 0
     kind = media.phase[medium, PHASE_KIND]
     first = media.phase[medium, CURVE_FIRST]
     last = first + media.phase[medium, CURVE_COUNT]
     curve = media.curve[:, first:last]
-    c = dot(v, w)
-    p = phase_value(kind, media.g[medium], curve[0], curve[1], c)
-    across = perpendicular(v, w)
-    seen = eye.light
-    if kind == RAYLEIGH and polarised:
+    looks = max(1, eye.looks // _FACET_LOOKS)
+    rays = 0
+    for _ in range(looks):
+        ring, sector, w, worth = _detector(eye, media, medium, light)
+        if w[2] <= 0.0:
+            continue
+        c = dot(v, w)
+        p = phase_value(kind, media.g[medium], curve[0], curve[1], c)
+        across = perpendicular(v, w)
+        seen = eye.light
         for s in range(light.shape[0]):
             for i in range(4):
                 seen[s, i] = light[s, i]
-        turn(seen, rotation(e, v, across))
-        a_s2, a_p2, cross = rayleigh_polarisation(c)
+        if kind == RAYLEIGH and polarised:
+            turn(seen, rotation(e, v, across))
+            a_s2, a_p2, cross = rayleigh_polarisation(c)
+            for s in range(seen.shape[0]):
+                seen[s, 0], seen[s, 1], seen[s, 2], seen[s, 3] = mueller(
+                    seen[s, 0], seen[s, 1], seen[s, 2], seen[s, 3], a_s2, a_p2, cross
+                )
+        else:
+            seen[:, 1:] = 0.0
         for s in range(seen.shape[0]):
-            seen[s, 0], seen[s, 1], seen[s, 2], seen[s, 3] = mueller(
-                seen[s, 0], seen[s, 1], seen[s, 2], seen[s, 3], a_s2, a_p2, cross
-            )
             scale(seen[s], p)
-    else:
-        seen[:, 1:] = 0.0
-        for s in range(light.shape[0]):
-            seen[s, 0] = light[s, 0] * p
-    rays = _leave(
-        zones, facets, media, share, polarised, w, across, zone, in_gap, x, y, z, depth, corner_x, corner_y, medium,
-        seen, ray, scratch,
-    )  # fmt: skip
-    _deposit(eye, to_channels, ring, sector, bounces, worth)
+        rays += _leave(
+            zones, facets, media, share, polarised, w, across, zone, in_gap, x, y, z, depth, corner_x, corner_y,
+            medium, seen, ray, scratch,
+        )  # fmt: skip
+        _deposit(eye, to_channels, ring, sector, bounces, worth / looks)
     return True, rays
 
 

@@ -98,7 +98,7 @@ class Tracer:
         if self.optics is not None:
             realisation = Surface(self, self.optics, tiles[0])
         else:
-            realisation = _Layers(self, tiles)
+            realisation = Layers(self, tiles)
         if not self._specimen.is_random:
             self._fixed = realisation
         return realisation
@@ -149,21 +149,29 @@ class Surface:
         )  # fmt: skip
 
 
-class _Layers:
-    """A stack of layers, or one surface that needs more than `Surface` knows: one path at a time."""
+class Layers:
+    """A stack of layers, or one surface that needs more than `Surface` knows: one path at a time; a `Realisation`.
+
+    Attributes
+    ----------
+    clear_layers : int
+        Layers, from the top, whose light detectors may be joined to; see `gonio.trace.stack_looks.clear_zones`.
+    """
 
     def __init__(self, tracer: Tracer, tiles: list[Tile]) -> None:
         self._tracer = tracer
         self._scene = StackScene(tracer._specimen.layers, tiles)
         self._facets = self._scene.label(tracer.stack.facets)
-        self.clear = clear_zones(self._scene.zones, self._facets)
+        self._clear = clear_zones(self._scene.zones, self._facets)
+        self.clear_layers = int(self._scene.zones.first_layer[self._clear])
 
     def trace(self, bins: Bins, beam: Beam, part: Part, batch: int, sums: Sums) -> None:
+        """As `Realisation.trace`."""
         tracer, stack = self._tracer, self._tracer.stack
         max_bounces = MAX_SCATTERINGS if stack.scatters else MAX_BOUNCES
         trace_stack(
             self._scene.zones, self._facets, stack.tables, stack.media, stack.polarised, tracer.to_channels,
-            tracer._looks, self.clear, bins, beam, part, tracer._seed, batch, max_bounces, sums,
+            tracer._looks, self._clear, bins, beam, part, tracer._seed, batch, max_bounces, sums,
         )  # fmt: skip
 
 
