@@ -126,7 +126,13 @@ class BatchTracer:
 
     def new_tally(self) -> Tally:
         """An empty tally of this job's table."""
-        return Tally(*self._shape(), self.tracer.hemispheres, self._orders, self.tracer.ledger_names)
+        return Tally(
+            *self._shape(),
+            self.tracer.hemispheres,
+            self._orders,
+            self.tracer.ledger_names,
+            self.looks is not None,
+        )
 
     def new_half_vector(self) -> HalfVector | None:
         """Empty sums of single bounces, where the estimator has them."""

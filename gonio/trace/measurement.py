@@ -188,10 +188,10 @@ class Measurement:
         """What is known so far: all light of each hemisphere, and for each its orders as in `Tally.orders`."""
         if self.job.estimator == NEXT_EVENT:
             even = self.batches.looks is not None
-            return (
-                [JoinedSheet(sheet, even) for sheet in self.tally.totals],
-                [[JoinedSheet(sheet, even) for sheet in orders] for orders in self.tally.orders],
-            )
+            joined = [[JoinedSheet(sheet, even) for sheet in sheets] for sheets in self.tally.orders]
+            pairs = zip(self.tally.totals, joined, strict=True)
+            totals: list[Sheet] = [JoinedSheet(total, even, sheets) for total, sheets in pairs]
+            return totals, [list(sheets) for sheets in joined]
         if self.half_vector is None:
             return list(self.tally.totals), [list(orders) for orders in self.tally.orders]
         total, orders = combine(self.half_vector, self.tally, self.batches, self.threads)

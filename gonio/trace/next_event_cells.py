@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,13 +27,16 @@ class JoinedSheet:
     sheet : SheetTally
     even : bool
         Whether all cells of a row were looked at equally often, and often in every batch; else as paths went.
+    orders : sequence of JoinedSheet
+        Whose sum it is, if of any.
     """
 
     hits = None
 
-    def __init__(self, sheet: SheetTally, even: bool) -> None:
+    def __init__(self, sheet: SheetTally, even: bool, orders: Sequence[JoinedSheet] = ()) -> None:
         self._sheet = sheet
         self._even = even
+        self._orders = orders
 
     def cells(self, projected_solid_angles: Array) -> tuple[Array, Array]:
         """As `SheetTally.cells`."""
@@ -43,7 +48,8 @@ class JoinedSheet:
         """As `SheetTally.row_cells`."""
         omega = projected_solid_angles[:, :, None]
         if self._even:
-            mean, variance = self._sheet.row_moments(row, projected_solid_angles.shape)
+            mean, _ = self._sheet.row_moments(row, projected_solid_angles.shape)
+            variance = self._sheet.row_relative_variance(row, projected_solid_angles.shape)
             hits = self._sheet.hits[row].reshape(projected_solid_angles.shape)
             batches = self._sheet.row_batches(row)
             values, std_error = mean / omega, scatter_errors(mean / omega, variance / omega**2, hits, batches)
@@ -55,6 +61,10 @@ class JoinedSheet:
         factor = np.where(known, energy - specular, 1.0) / np.where(known, joined, 1.0)
         relative = np.where(known, energy_error, 0.0) / np.where(known, energy, 1.0)
         values = values * factor
+        if self._orders:
+            values = np.sum(
+                [order.row_cells(row, projected_solid_angles)[0] for order in self._orders], axis=0
+            )
         return values, np.hypot(std_error * factor, values * relative)
 
     def energies(self) -> tuple[Array, Array, Array, Array]:

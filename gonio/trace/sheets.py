@@ -104,6 +104,8 @@ class SheetTally:
         As in `Tally`.
     first, count : int
         Which of the tally's sheets to add up; where there are several, after each was closed on its own.
+    joint : bool
+        Whether to keep how each cell varies with the sum over its row.
 
     Attributes
     ----------
@@ -112,7 +114,14 @@ class SheetTally:
     """
 
     def __init__(
-        self, counts: RowCounts, rows: int, cells: int, channels: int, first: int, count: int = 1
+        self,
+        counts: RowCounts,
+        rows: int,
+        cells: int,
+        channels: int,
+        first: int,
+        count: int = 1,
+        joint: bool = False,
     ) -> None:
         self.hits: NDArray[np.int64] = np.zeros((rows, cells), np.int64)
         self._counts = counts
@@ -127,10 +136,14 @@ class SheetTally:
         self._row_fourth = np.zeros((rows, 2 * channels))
         self._cells_square = np.zeros((rows, channels))
         self._cells_fourth = np.zeros((rows, channels))
+        self._joint = np.zeros((rows, cells if joint else 0, channels))
+        self._sum_mean, self._sum_square = np.zeros((2, rows, channels))
 
     def rescale(self, row: int, factor: float) -> None:
         """Multiply a row's sums of squares, for batches of another size to follow."""
         self._square[row] *= factor
+        self._joint[row] *= factor
+        self._sum_square[row] *= factor
         self._row_square[row] *= factor
         self._cells_square[row] *= factor
         self._row_fourth[row] *= factor * factor
@@ -165,6 +178,13 @@ class SheetTally:
         )  # fmt: skip
         self._cells_square[row] += increase
         self._cells_fourth[row] += increase**2
+        if self._joint.shape[1]:
+            values = slabs[self._first, :, :-1] * scale
+            total = values.sum(axis=0)
+            delta = total - self._sum_mean[row]
+            self._sum_mean[row] += delta / self._counts.weight[row]
+            self._sum_square[row] += delta * (total - self._sum_mean[row])
+            self._joint[row] += delta * (values - self._mean[row])
 
     def cells(self, projected_solid_angles: Array) -> tuple[Array, Array]:
         """Mean BRDF of every cell and its standard error, 1/sr, shape (rows, rings, sectors, channels) each.
@@ -195,6 +215,19 @@ class SheetTally:
         weight = self._counts.weight[row]
         mean = self._mean[row].reshape(*shape, -1)
         return mean, self._square[row].reshape(mean.shape) / (max(weight - 1.0, 1.0) * max(weight, 1.0))
+
+    def row_relative_variance(self, row: int, shape: tuple[int, ...]) -> Array:
+        """Variance of the mean energies in the cells of a row, as if each batch were scaled by the sum over all cells.
+
+        Cochran 1977, "Sampling techniques", eq. 6.13; of `shape` and the channels, for a tally that is `joint`.
+        """
+        mean, variance = self.row_moments(row, shape)
+        weight = self._counts.weight[row]
+        scale = 1.0 / (max(weight - 1.0, 1.0) * max(weight, 1.0))
+        total = self._sum_mean[row]
+        ratio = np.where(total != 0, mean, 0.0) / np.where(total != 0, total, 1.0)
+        joint = self._joint[row].reshape(mean.shape)
+        return np.maximum(variance - scale * ratio * (2.0 * joint - ratio * self._sum_square[row]), 0.0)
 
     def row_batches(self, row: int) -> float:
         """Batches in which the row took part, as of the size of the last."""
