@@ -38,7 +38,7 @@ def run(say: Callable[[str], None]) -> list[dict[str, Any]]:
     for name, specimen in _specimens(say).items():
         merits: dict[str, float] = {}
         for estimator in ESTIMATORS:
-            if estimator != ANALOG and choose(specimen, 0) == ANALOG:
+            if estimator not in (ANALOG, choose(specimen, 0)):
                 continue
             seconds, error = _measure(specimen, estimator)
             merits[estimator] = 1.0 / (error**2 * seconds)

@@ -57,6 +57,7 @@ class Handle(NamedTuple):
     intersect1: int
     intersect16: int
     occluded1: int
+    occluded16: int
     scene: int
     coherent: int
     incoherent: int
@@ -108,6 +109,7 @@ _SIGNATURES: dict[str, tuple] = {
     "rtcIntersect1": (None, _POINTER, _POINTER, _POINTER),
     "rtcIntersect16": (None, _POINTER, _POINTER, _POINTER, _POINTER),
     "rtcOccluded1": (None, _POINTER, _POINTER, _POINTER),
+    "rtcOccluded16": (None, _POINTER, _POINTER, _POINTER, _POINTER),
 }
 _ErrorFunction = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p)
 _ERROR_NAMES = {1: "unknown error", 2: "invalid argument", 3: "invalid operation", 4: "out of memory",
@@ -286,6 +288,7 @@ class Scene:
             intersect1=address("rtcIntersect1"),
             intersect16=address("rtcIntersect16"),
             occluded1=address("rtcOccluded1"),
+            occluded16=address("rtcOccluded16"),
             scene=self._pointer,
             coherent=ctypes.addressof(_ARGUMENTS[_COHERENT]),
             incoherent=ctypes.addressof(_ARGUMENTS[0]),
@@ -355,6 +358,14 @@ def intersect16(handle, packet, coherent):
     address = packet.ctypes.data
     arguments = handle.coherent if coherent else handle.incoherent
     _call4(handle.intersect16, address + VALID * PACKET_WIDTH * 4, handle.scene, address, arguments)
+
+
+@kernel
+def occluded16(handle, packet, coherent):
+    """Whether anything lies between T_NEAR and T_FAR of the rays whose VALID row is -1: T_FAR is then below 0."""
+    address = packet.ctypes.data
+    arguments = handle.coherent if coherent else handle.incoherent
+    _call4(handle.occluded16, address + VALID * PACKET_WIDTH * 4, handle.scene, address, arguments)
 
 
 @kernel

@@ -18,6 +18,14 @@ from gonio.core.philox import uniforms
 from gonio.trace.interface import SCRATCH_ROWS
 from gonio.trace.layered import trace_path
 from gonio.trace.stack import UNIT, WIDTH_X, WIDTH_Y
+from gonio.trace.stack_looks import (
+    AZIMUTH_X,
+    AZIMUTH_Y,
+    SHIFT_AZIMUTH,
+    SHIFT_RING,
+    STATES,
+    Eye,
+)
 from gonio.trace.transport import REFLECTED, TRANSMITTED, start_packet, trace_packet
 
 # Columns of a ledger row, in units of incident energy (mean over channels); RAYS counts Embree's rays. Then,
@@ -28,6 +36,7 @@ ABSORBED_COLUMN = LEDGER.index("absorbed")
 RAYS = len(LEDGER)
 LEDGER_COLUMNS = RAYS + 1
 
+_SHIFT = 1 << 16  # dimension of the random numbers that no path uses
 _PERIODS = 1 << 20  # so many tiles of the first layer a path may start over, against those of other periods
 
 
@@ -146,7 +155,7 @@ def _trace_packets(
             delta = albedo is None and x == mirror_x and y == mirror_y
             _count(
                 to_channels, bins, sums, packet[HIT_U, lane], packet[HIT_V, lane], status[lane], bounces[lane],
-                delta, weight[lane],
+                delta, False, weight[lane],
             )  # fmt: skip
     for sample in range(absorbed.shape[0]):
         sums.ledger[ABSORBED_COLUMN] += bins.share[sample] * absorbed[sample]
@@ -154,9 +163,9 @@ def _trace_packets(
 
 @kernel
 def trace_stack(
-    zones, facets, tables, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums
-):
-    """Trace paths through a stack of layers and bin them by where they leave.
+    zones, facets, tables, media, polarised, to_channels, looks, clear, bins, beam, part, seed, batch, max_bounces, sums
+):  # fmt: skip
+    """Trace paths through a stack of layers and bin them by where they leave, or join them to detectors.
 
     Parameters
     ----------
@@ -166,13 +175,18 @@ def trace_stack(
     media : Media
     polarised : bool
         As in `gonio.trace.stack.Stack`.
+    looks : int or None
+        As in `gonio.trace.stack_looks.Eye`; None: all paths are binned.
+    clear : int
+        From `gonio.trace.stack_looks.clear_zones`.
     to_channels, bins, beam, part, seed, batch, max_bounces, sums
         As in `trace_surface`.
     """
     samples = bins.share.shape[0]
     own = _own(sums)
+    eye = None if looks is None else _open_eye(looks, clear, bins, beam, part, seed, batch, sums)
     _trace_paths(
-        zones, facets, tables, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, own,
+        zones, facets, tables, media, polarised, to_channels, eye, bins, beam, part, seed, batch, max_bounces, own,
         new_ray(), np.empty((samples, 4)), np.empty(samples), np.empty((SCRATCH_ROWS, samples)),
         np.zeros(sums.ledger.shape[0] - LEDGER_COLUMNS),
     )  # fmt: skip
@@ -181,7 +195,7 @@ def trace_stack(
 
 @kernel(allocates=False)
 def _trace_paths(
-    zones, facets, tables, media, polarised, to_channels, bins, beam, part, seed, batch, max_bounces, sums,
+    zones, facets, tables, media, polarised, to_channels, eye, bins, beam, part, seed, batch, max_bounces, sums,
     ray, light, weight, scratch, absorbed,
 ):  # fmt: skip
     packets = part.strata_x * part.strata_y
@@ -203,18 +217,33 @@ def _trace_paths(
             y = (4 * j + lane % 4 + v) * dy + width_y * math.floor(b * _PERIODS)
             u, v, _, _ = uniforms(path, path >> 32, 0, 1, seed, batch)
             wi, azimuth = _incident(beam, u, v)
-            status, wo, bounces, straight, rays = trace_path(
-                zones, facets, tables, media, bins.share, polarised, (-wi[0], -wi[1], -wi[2]), x, y,
+            if eye is not None:
+                eye.state[AZIMUTH_X], eye.state[AZIMUTH_Y] = azimuth
+            status, wo, bounces, straight, joined, rays = trace_path(
+                zones, facets, tables, media, bins.share, polarised, to_channels, eye, (-wi[0], -wi[1], -wi[2]), x, y,
                 max_bounces, seed, batch, path, ray, light, scratch, absorbed,
             )  # fmt: skip
             sums.ledger[RAYS] += rays
             for s in range(weight.shape[0]):
                 weight[s] = light[s, 0]
             sin2, cosine = _coordinates(wo[0], wo[1], wo[2], azimuth)
-            _count(to_channels, bins, sums, sin2, cosine, status, bounces, straight, weight)
+            joined = joined and status == REFLECTED
+            _count(to_channels, bins, sums, sin2, cosine, status, bounces, straight, joined, weight)
     for column in range(absorbed.shape[0]):
         sums.ledger[LEDGER_COLUMNS + column] += absorbed[column]
         sums.ledger[ABSORBED_COLUMN] += absorbed[column]
+
+
+@kernel
+def _open_eye(looks, clear, bins, beam, part, seed, batch, sums):
+    """Detectors of a unit of work, their sequence shifted at random."""
+    state = np.zeros(STATES)
+    packet = beam.row * part.strata_x * part.strata_y + part.first
+    shift = uniforms(packet, packet >> 32, 0, _SHIFT, seed, batch)
+    state[SHIFT_RING], state[SHIFT_AZIMUTH] = shift[0], shift[1]
+    sectors = bins.phi.edges.shape[0] - 1
+    light = np.zeros((bins.share.shape[0], 4))
+    return Eye(looks, clear, bins.theta, sectors, bins.orders, sums.cells, state, light)
 
 
 @kernel
@@ -266,8 +295,11 @@ def _exit(packet, azimuth):
 
 
 @kernel(inline=True, allocates=False)
-def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, weight):
-    """Add what is left of one path (`weight`, shape (S,)) to where it ended; from `_coordinates`."""
+def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, joined, weight):
+    """Add what is left of one path (`weight`, shape (S,)) to where it ended, from `_coordinates`.
+
+    In no cell, where it was joined to detectors.
+    """
     energy = 0.0
     for s in range(weight.shape[0]):
         energy += bins.share[s] * weight[s]
@@ -293,9 +325,9 @@ def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, weight
         sums.energy[sheet, channel] += w
         if delta:
             sums.specular[sheet, channel] += w
-        else:
+        elif not joined:
             sums.cells[sheet, cell, channel] += w
-    if not delta:
+    if not delta and not joined:
         sums.cells[sheet, cell, channels] += 1.0
 
 

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from gonio.core.directions import projected_solid_angles
 from gonio.core.lookup import axis
 from gonio.core.parallel import for_each
-from gonio.trace.analog import Beam, Bins, Part, Sums
-from gonio.trace.estimators import ANALOG, HALF_VECTOR, roughness
+from gonio.trace.analog import RAYS, Beam, Bins, Part, Sums
+from gonio.trace.estimators import ANALOG, HALF_VECTOR, NEXT_EVENT, roughness
 from gonio.trace.facets import measure_facets
 from gonio.trace.half_vector import HalfVector
+from gonio.trace.next_event import LambertLooks
 from gonio.trace.remainder import block_size
+from gonio.trace.stack_looks import LOOKS
 from gonio.trace.tally import Tally, new_accumulators
 from gonio.trace.tracer import Surface, Tracer
 from microgeometry.specimen import Specimen
@@ -69,6 +71,8 @@ class BatchTracer:
         The same of the cells that paths are binned in: larger ones, where they carry smooth light only.
     alpha : float or None
         Roughness, where facets are measured for the half-vector estimator.
+    looks : LambertLooks or None
+        What fills the cells of a Lambertian surface, where the estimator is next-event.
     paths_per_pass : int
     tracer : Tracer
         How the specimen is traced.
@@ -93,7 +97,8 @@ class BatchTracer:
             self._sin2 = np.sin(self.theta_i) ** 2, np.sin(self.theta_i) ** 2
         self._strata = 2 ** (job.exponent // 2), 2 ** (job.exponent - job.exponent // 2)
         self.paths_per_pass = 16 * 2**job.exponent
-        self.tracer = Tracer(job.specimen, job.seed, self.paths_per_pass, len(self.theta_i))
+        looks = LOOKS if job.estimator == NEXT_EVENT else None
+        self.tracer = Tracer(job.specimen, job.seed, self.paths_per_pass, len(self.theta_i), looks)
         self.alpha = roughness(self.tracer) if job.estimator == HALF_VECTOR else None
         self._orders = grid.orders if self.alpha is None else max(2, grid.orders)
         merged = (1, 1) if self.alpha is None else block_size(self.alpha, *self.areas.shape)
@@ -108,11 +113,26 @@ class BatchTracer:
             self._orders,
             self.tracer.stack.share,
         )
+        self.looks: LambertLooks | None = None
+        if looks is not None and self.tracer.optics is not None:
+            assert self.tracer.optics.albedo is not None  # `gonio.trace.estimators.choose`
+            self.looks = LambertLooks(
+                self.tracer.optics.albedo, self.tracer.to_channels, self._orders, self.theta_i,
+                self.theta_i_edges, self.theta_edges, self.areas.shape[1], job.seed,
+            )  # fmt: skip
+            # paths are counted, but in no cell
+            self._bins = self._bins._replace(theta=axis([0.0, 1.0]), phi=axis([-1.0, 1.0]))
         self.seconds = 0.0
 
     def new_tally(self) -> Tally:
         """An empty tally of this job's table."""
-        return Tally(*self._shape(), self.tracer.hemispheres, self._orders, self.tracer.ledger_names)
+        return Tally(
+            *self._shape(),
+            self.tracer.hemispheres,
+            self._orders,
+            self.tracer.ledger_names,
+            self.looks is not None,
+        )
 
     def new_half_vector(self) -> HalfVector | None:
         """Empty sums of single bounces, where the estimator has them."""
@@ -163,7 +183,8 @@ class BatchTracer:
             row, number = slots[slot]
             beam = Beam(row, float(self._sin2[0][row]), float(self._sin2[1][row]))
             part = Part(*self._strata, chunk * packets // chunks, (chunk + 1) * packets // chunks)
-            sums = Sums(cells[place], specular[place], energy[place], ledger[place])
+            own = cells[place] if self.looks is None else np.zeros((cells.shape[2], 1, cells.shape[4]))
+            sums = Sums(own, specular[place], energy[place], ledger[place])
             realisation.trace(self._bins, beam, part, batch + number * _BATCHES, sums)
 
         started = time.perf_counter()
@@ -180,6 +201,11 @@ class BatchTracer:
                 self.job.seed,
                 batch,
                 threads,
+            )
+        if self.looks is not None:
+            assert isinstance(realisation, Surface)
+            ledger[0, 0, RAYS] += self.looks.measure(
+                realisation.tile, realisation.scene, batch, passes, self.paths_per_pass, cells, threads
             )
         self.seconds += time.perf_counter() - started
         return facets

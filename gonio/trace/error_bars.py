@@ -102,9 +102,9 @@ def _kinds(
 
     `row_variance` and `row_weight`, shape (channels,), are variance and energy of a path in the whole row.
     """
-    around = (_around(own) + _ROW_PATHS)[:, :, None]
-    per_path = (_around(variance) + _ROW_PATHS * row_variance) / around
-    weight = (_around(mean) + _ROW_PATHS * row_weight) / around
+    around = (sum_around(own) + _ROW_PATHS)[:, :, None]
+    per_path = (sum_around(variance) + _ROW_PATHS * row_variance) / around
+    weight = (sum_around(mean) + _ROW_PATHS * row_weight) / around
     return per_path, _clump(per_path, weight)
 
 
@@ -119,12 +119,12 @@ def _clump(per_path: Array, weight: Array) -> Array:
 
 def _expected(own: Array, areas: Array) -> Array:
     """Independent paths to expect in each cell, from those around it and, where these differ, its own."""
-    rate = _around(own) / _around(areas)
+    rate = sum_around(own) / sum_around(areas)
     around = rate * areas
-    cells = _around(np.ones_like(own)) + 1.0
-    window_areas, squared_areas = _around(areas) + areas, _around(areas**2) + areas**2
-    squares = _around(own**2) + own**2
-    products = _around(own * areas) + own * areas
+    cells = sum_around(np.ones_like(own)) + 1.0
+    window_areas, squared_areas = sum_around(areas) + areas, sum_around(areas**2) + areas**2
+    squares = sum_around(own**2) + own**2
+    products = sum_around(own * areas) + own * areas
     # sum of squared deviations from the common rate; under chance alone, its mean and its standard deviation
     deviation = squares - 2.0 * rate * products + rate**2 * squared_areas
     chance = rate * window_areas
@@ -138,7 +138,7 @@ def _expected(own: Array, areas: Array) -> Array:
     return np.where(own > 0, np.maximum(posterior, _FEWEST), posterior)
 
 
-def _around(a: Array) -> Array:
+def sum_around(a: Array) -> Array:
     """Sum over the window about each cell without the cell itself; shape (rings, sectors, ...) as given.
 
     Sectors go on mirrored beyond 0 and pi, as delta phi is folded there; rings end.

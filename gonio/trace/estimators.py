@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
-from gonio.trace.tracer import Tracer
+import math
+
+import numpy as np
+
+from gonio.core.phase import hg, rayleigh
+from gonio.table.table import Table
+from gonio.trace.stack import LAMBERT, SCATTERS, TABLE
+from gonio.trace.tracer import Layers, Tracer
 from microgeometry.errors import InputError
-from microgeometry.materials import Conductor, Mirror
+from microgeometry.materials import Conductor, Mirror, TableMaterial
+from microgeometry.media import HenyeyGreenstein, Medium, TabulatedPhase
 from microgeometry.specimen import Specimen
 from microgeometry.surfaces.exponential import Exponential
 from microgeometry.surfaces.gaussian import Gaussian
@@ -14,10 +22,17 @@ ANALOG = "analog"
 """Every path is binned in the cell it leaves through: assumes nothing, does for all specimens."""
 HALF_VECTOR = "half-vector"
 """Single bounces off a rough metal by `gonio.trace.half_vector`; what bounces more is binned in coarse cells."""
-ESTIMATORS = ANALOG, HALF_VECTOR
+NEXT_EVENT = "next-event"
+"""Light is joined to detectors wherever it meets a facet or medium that scatters: `gonio.trace.next_event`."""
+ESTIMATORS = ANALOG, HALF_VECTOR, NEXT_EVENT
 
 LEAST_ALPHA = 0.03
 """Below, the distribution of tilts is too steep for the bins of tilt and the points of a 1-degree cell."""
+
+_MOST_PEAKED = 4.0
+"""In the direction in which most light is scattered, against the mean: what joins it to detectors drawn evenly
+varies as much. Merit over analog's of half-spaces: 5 where they scatter evenly, 3.7 and 2.2 by Henyey and Greenstein's
+law with g = 0.3 and 0.5 (peaks of 2.7 and 6), 0.35 with g = 0.8 (45)."""
 
 _SURFACES = Gaussian, Exponential, SelfAffine
 
@@ -34,13 +49,13 @@ def choose(specimen: Specimen, seed: int, name: str | None = None) -> str:
         raise InputError(f"estimator: {name!r}; one of {', '.join(ESTIMATORS)} is allowed")
     if name == ANALOG:
         return ANALOG
-    reason = _against_half_vector(specimen, seed)
-    if reason is None:
-        return HALF_VECTOR
-    if name == HALF_VECTOR:
-        raise InputError(
-            f"estimator: half-vector does not do here: {reason}; use analog, or leave the choice"
-        )
+    against = {HALF_VECTOR: _against_half_vector, NEXT_EVENT: _against_next_event}
+    for estimator in against if name is None else (name,):
+        reason = against[estimator](specimen, seed)
+        if reason is None:
+            return estimator
+        if name is not None:
+            raise InputError(f"estimator: {name} does not do here: {reason}; use analog, or leave the choice")
     return ANALOG
 
 
@@ -55,6 +70,47 @@ def _against_half_vector(specimen: Specimen, seed: int) -> str | None:
     if not alpha >= LEAST_ALPHA:
         return f"the surface's alpha is {alpha:.3g}, and it needs {LEAST_ALPHA:g}"
     return None
+
+
+def _against_next_event(specimen: Specimen, seed: int) -> str | None:
+    """Why light cannot be joined to detectors where it scatters; None where it can."""
+    tracer = Tracer(specimen, seed, 1)
+    if tracer.optics is not None:
+        return None if tracer.optics.albedo is not None else "mirror and metal facets do not scatter"
+    realisation = tracer.realise(0)
+    assert isinstance(realisation, Layers)
+    facets, media = tracer.stack.facets, tracer.stack.media
+    layers = realisation.clear_layers
+    scatters = np.isin(facets.kind[facets.material[:layers]], (LAMBERT, TABLE)).any()
+    if not scatters and not media.phase[: layers + 1, SCATTERS].any():
+        return "nothing scatters that detectors see past mirrors and through flat interfaces only"
+    for number, layer in enumerate(specimen.layers[:layers], 1):
+        if layer.medium is not None and any(layer.medium.sigma_s):
+            peak = 4.0 * math.pi * _phase_peak(layer.medium)
+            if peak > _MOST_PEAKED:
+                return f"the medium of layer {number} scatters {peak:.3g} times as much ahead as on average"
+        for material in (layer.material, layer.plane):
+            if isinstance(material, TableMaterial):
+                peak = _table_peak(Table.load(material.file))
+                if peak > _MOST_PEAKED:
+                    return f"{material.file} has values up to {peak:.3g} times its albedo / pi: it shines"
+    return None
+
+
+def _phase_peak(medium: Medium) -> float:
+    """Largest density of a medium's phase function, 1/sr."""
+    phase = medium.phase
+    if isinstance(phase, TabulatedPhase):
+        return max(phase.values)
+    if isinstance(phase, HenyeyGreenstein):
+        return hg(phase.g, math.copysign(1.0, phase.g))
+    return rayleigh(1.0)
+
+
+def _table_peak(table: Table) -> float:
+    """Largest value in units of albedo / pi, over rows and channels; the delta term is none."""
+    albedo = np.maximum(table.row_albedo - table.specular, 1e-300)
+    return float(np.max(math.pi * table.values.max(axis=(1, 2)) / albedo, initial=0.0))
 
 
 def roughness(tracer: Tracer) -> float:

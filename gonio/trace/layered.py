@@ -49,6 +49,7 @@ from gonio.trace.stack import (
     WIDTH_X,
     WIDTH_Y,
 )
+from gonio.trace.stack_looks import join_collision, join_facet
 from gonio.trace.transport import (
     ABSORBED,
     INSIDE,
@@ -69,8 +70,8 @@ _NOTHING = 1e-9  # a share of energy that rounding may take
 
 @kernel(allocates=False)
 def trace_path(
-    zones, facets, tables, media, share, polarised, v, x, y, max_bounces, seed, batch, path, ray, light, scratch,
-    absorbed,
+    zones, facets, tables, media, share, polarised, to_channels, eye, v, x, y, max_bounces, seed, batch, path, ray,
+    light, scratch, absorbed,
 ):  # fmt: skip
     """Follow one path to its end.
 
@@ -83,6 +84,10 @@ def trace_path(
     share : ndarray, shape (S,)
     polarised : bool
         As in `gonio.trace.stack.Stack`.
+    to_channels : ndarray or None
+        As in `gonio.trace.analog.trace_surface`.
+    eye : Eye or None
+        Detectors to join light to wherever it scatters.
     v : direction
         Where the light goes: down.
     x, y : float
@@ -109,6 +114,8 @@ def trace_path(
     bounces : int
     straight : bool
         Whether it met nothing but smooth interfaces parallel to the macroscopic plane: the delta term.
+    joined : bool
+        Whether its light, if it left above, was joined to detectors.
     rays : int
         Of Embree.
     """
@@ -126,6 +133,7 @@ def trace_path(
     e = perpendicular(v, _UP)
     bounces = 0
     straight = True
+    joined = False
     rays = 0
     # a place just before the last reflection, for a path that the step off a facet put inside the body
     can_retreat = False
@@ -133,7 +141,7 @@ def trace_path(
     for event in range(1, MAX_SEGMENTS):
         energy = _energy(light, share)
         if _strongest(light) == 0.0:
-            return ABSORBED, v, bounces, straight, rays
+            return ABSORBED, v, bounces, straight, joined, rays
         if in_gap:
             gap = zones.gap[zone]  # above `zone`
             limit = math.inf
@@ -146,8 +154,15 @@ def trace_path(
                 absorbed[2 * medium - 1] += _lose(light, share, energy, bounces, path, event, 4, seed, batch)
             if not collided and limit == math.inf:
                 if zone < n_zones or v[2] >= 0.0:
-                    return LOST, v, bounces, straight, rays
-                return (TRANSMITTED if _strongest(light) > 0.0 else ABSORBED), v, bounces, straight, rays
+                    return LOST, v, bounces, straight, joined, rays
+                return (
+                    (TRANSMITTED if _strongest(light) > 0.0 else ABSORBED),
+                    v,
+                    bounces,
+                    straight,
+                    joined,
+                    rays,
+                )
             corner_x += distance * v[0]
             corner_y += distance * v[1]
             depth -= distance * v[2]
@@ -168,13 +183,21 @@ def trace_path(
             crossed = True
             if facets.kind[material] != NONE:
                 if bounces >= max_bounces:
-                    return KILLED, v, bounces, straight, rays
+                    return KILLED, v, bounces, straight, joined, rays
                 bounces += 1
+                if eye is not None:
+                    here, looks = join_facet(
+                        zones, facets, tables, media, share, polarised, to_channels, eye, zone, layer, material,
+                        medium, v, _UP if front else _DOWN, light, x, y, z, corner_x, corner_y, bounces, ray, scratch,
+                    )  # fmt: skip
+                    rays += looks
+                    joined = joined or here
                 v, e, crossed, specular = interact(
                     facets, tables, media, share, polarised, layer, material, front, v, _UP if front else _DOWN,
                     e, light, scratch, path, event, seed, batch,
                 )  # fmt: skip
                 straight = straight and specular
+                joined = joined and (crossed or not specular)
                 absorbed[2 * layer] += _lose(light, share, energy, bounces, path, event, 2, seed, batch)
             if crossed:
                 medium = layer + 1 if front else layer
@@ -183,7 +206,7 @@ def trace_path(
                 zone += 1
                 depth = 0.0
             elif zone == 0:
-                return _left(light), v, bounces, straight, rays
+                return _left(light), v, bounces, straight, joined, rays
             else:
                 depth = zones.gap[zone]
             continue
@@ -200,7 +223,15 @@ def trace_path(
             ids[INST_PRIM_ID] = MISS
             h = zones.embree
             intersect1(
-                Handle(h.intersect1, h.intersect16, h.occluded1, zones.scene[zone], h.coherent, h.incoherent),
+                Handle(
+                    h.intersect1,
+                    h.intersect16,
+                    h.occluded1,
+                    h.occluded16,
+                    zones.scene[zone],
+                    h.coherent,
+                    h.incoherent,
+                ),
                 ray,
             )
             rays += 1
@@ -231,13 +262,13 @@ def trace_path(
                         zone += 1
                     if face != 3 or medium != zones.first_layer[zone]:
                         if not can_retreat:
-                            return LOST, v, bounces, straight, rays
+                            return LOST, v, bounces, straight, joined, rays
                         can_retreat = False
                         x, y, z = retreat
                         zone -= 0 if up else 1
                         continue
                     if zone == 0:
-                        return _left(light), v, bounces, straight, rays
+                        return _left(light), v, bounces, straight, joined, rays
                     in_gap = True
                     depth = zones.gap[zone] if up else 0.0
                     corner_x += x * metres
@@ -262,14 +293,21 @@ def trace_path(
                     material = facets.material[layer, label]
                     if facets.kind[material] != NONE:
                         if bounces >= max_bounces:
-                            return KILLED, v, bounces, straight, rays
+                            return KILLED, v, bounces, straight, joined, rays
                         bounces += 1
                         back = min(0.5 * distance, RETREAT * box[LIFT])
                         retreat = (x - back * v[0], y - back * v[1], z - back * v[2])
+                        if eye is not None:
+                            joined, looks = join_facet(
+                                zones, facets, tables, media, share, polarised, to_channels, eye, zone, layer,
+                                material, medium, v, n, light, x, y, z, corner_x, corner_y, bounces, ray, scratch,
+                            )  # fmt: skip
+                            rays += looks
                         v, e, crossed, specular = interact(
                             facets, tables, media, share, polarised, layer, material, front, v, n, e, light,
                             scratch, path, event, seed, batch,
                         )  # fmt: skip
+                        joined = joined and not specular
                         straight = straight and specular and n[0] == 0.0 and n[1] == 0.0
                         absorbed[2 * layer] += _lose(
                             light, share, energy, bounces, path, event, 2, seed, batch
@@ -285,14 +323,20 @@ def trace_path(
                 continue
         # a collision, in the gap or between facets
         if bounces >= max_bounces:
-            return KILLED, v, bounces, straight, rays
+            return KILLED, v, bounces, straight, joined, rays
         bounces += 1
         straight = False
         can_retreat = False
+        if eye is not None:
+            joined, looks = join_collision(
+                zones, facets, media, share, polarised, to_channels, eye, zone, in_gap, medium, v, e, light, x, y, z,
+                depth, corner_x, corner_y, bounces, ray, scratch,
+            )  # fmt: skip
+            rays += looks
         energy = _energy(light, share)
         v, e = scatter(media, medium, polarised, v, e, light, path, event, seed, batch)
         absorbed[2 * medium - 1] += energy - _energy(light, share)
-    return LOST, v, bounces, straight, rays
+    return LOST, v, bounces, straight, joined, rays
 
 
 @kernel(allocates=False)

@@ -15,7 +15,8 @@ from gonio.table.table import Table
 from gonio.trace.batch import BatchTracer, Job
 from gonio.trace.combine import combine
 from gonio.trace.errors import TraceError
-from gonio.trace.estimators import choose
+from gonio.trace.estimators import NEXT_EVENT, choose
+from gonio.trace.next_event_cells import JoinedSheet
 from gonio.trace.sheets import Sheet
 from gonio.trace.stopping import Schedule, Verdict, check_target, judge
 from gonio.trace.tabulate import tabulate
@@ -185,6 +186,12 @@ class Measurement:
 
     def light(self) -> tuple[list[Sheet], list[list[Sheet]]]:
         """What is known so far: all light of each hemisphere, and for each its orders as in `Tally.orders`."""
+        if self.job.estimator == NEXT_EVENT:
+            even = self.batches.looks is not None
+            joined = [[JoinedSheet(sheet, even) for sheet in sheets] for sheets in self.tally.orders]
+            pairs = zip(self.tally.totals, joined, strict=True)
+            totals: list[Sheet] = [JoinedSheet(total, even, sheets) for total, sheets in pairs]
+            return totals, [list(sheets) for sheets in joined]
         if self.half_vector is None:
             return list(self.tally.totals), [list(orders) for orders in self.tally.orders]
         total, orders = combine(self.half_vector, self.tally, self.batches, self.threads)

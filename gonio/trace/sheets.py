@@ -104,6 +104,8 @@ class SheetTally:
         As in `Tally`.
     first, count : int
         Which of the tally's sheets to add up; where there are several, after each was closed on its own.
+    joint : bool
+        Whether to keep how each cell varies with the sum over its row.
 
     Attributes
     ----------
@@ -112,7 +114,14 @@ class SheetTally:
     """
 
     def __init__(
-        self, counts: RowCounts, rows: int, cells: int, channels: int, first: int, count: int = 1
+        self,
+        counts: RowCounts,
+        rows: int,
+        cells: int,
+        channels: int,
+        first: int,
+        count: int = 1,
+        joint: bool = False,
     ) -> None:
         self.hits: NDArray[np.int64] = np.zeros((rows, cells), np.int64)
         self._counts = counts
@@ -127,10 +136,14 @@ class SheetTally:
         self._row_fourth = np.zeros((rows, 2 * channels))
         self._cells_square = np.zeros((rows, channels))
         self._cells_fourth = np.zeros((rows, channels))
+        self._joint = np.zeros((rows, cells if joint else 0, channels))
+        self._sum_mean, self._sum_square = np.zeros((2, rows, channels))
 
     def rescale(self, row: int, factor: float) -> None:
         """Multiply a row's sums of squares, for batches of another size to follow."""
         self._square[row] *= factor
+        self._joint[row] *= factor
+        self._sum_square[row] *= factor
         self._row_square[row] *= factor
         self._cells_square[row] *= factor
         self._row_fourth[row] *= factor * factor
@@ -165,6 +178,13 @@ class SheetTally:
         )  # fmt: skip
         self._cells_square[row] += increase
         self._cells_fourth[row] += increase**2
+        if self._joint.shape[1]:
+            values = slabs[self._first, :, :-1] * scale
+            total = values.sum(axis=0)
+            delta = total - self._sum_mean[row]
+            self._sum_mean[row] += delta / self._counts.weight[row]
+            self._sum_square[row] += delta * (total - self._sum_mean[row])
+            self._joint[row] += delta * (values - self._mean[row])
 
     def cells(self, projected_solid_angles: Array) -> tuple[Array, Array]:
         """Mean BRDF of every cell and its standard error, 1/sr, shape (rows, rings, sectors, channels) each.
@@ -183,22 +203,42 @@ class SheetTally:
     def row_cells(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
         """One row of `cells`; how errors are found is said in `gonio.trace.error_bars`."""
         omega = projected_solid_angles[:, :, None]
-        mean, variance, hits = self._row(row, projected_solid_angles)
+        mean, variance, hits = self._row(row, projected_solid_angles.shape)
         std_error = cell_errors(mean, variance, hits, projected_solid_angles, self._counts.paths[row])
         return mean / omega, std_error / omega
 
     def row_terms(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
         """As `row_cells`, with the errors of cells that are added up (`gonio.trace.error_bars.term_errors`)."""
         omega = projected_solid_angles[:, :, None]
-        mean, variance, hits = self._row(row, projected_solid_angles)
+        mean, variance, hits = self._row(row, projected_solid_angles.shape)
         return mean / omega, term_errors(mean, variance, hits, projected_solid_angles) / omega
 
-    def _row(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Energy in each cell of a row, its variance by the scatter of batches, and paths."""
-        shape = (*projected_solid_angles.shape, -1)
+    def _row(self, row: int, shape: tuple[int, ...]) -> tuple[Array, Array, NDArray[np.int64]]:
+        """`row_moments`, and the paths in each cell."""
+        return *self.row_moments(row, shape), self.hits[row].reshape(shape)
+
+    def row_moments(self, row: int, shape: tuple[int, ...]) -> tuple[Array, Array]:
+        """Mean energy in the cells of a row, and the variance of that mean; of `shape` and the channels."""
         weight = self._counts.weight[row]
-        variance = self._square[row] / (max(weight - 1.0, 1.0) * max(weight, 1.0))
-        return self._mean[row].reshape(shape), variance.reshape(shape), self.hits[row].reshape(shape[:2])
+        mean = self._mean[row].reshape(*shape, -1)
+        return mean, self._square[row].reshape(mean.shape) / (max(weight - 1.0, 1.0) * max(weight, 1.0))
+
+    def row_relative_variance(self, row: int, shape: tuple[int, ...]) -> Array:
+        """Variance of the mean energies in the cells of a row, as if each batch were scaled by the sum over all cells.
+
+        Cochran 1977, "Sampling techniques", eq. 6.13; of `shape` and the channels, for a tally that is `joint`.
+        """
+        mean, variance = self.row_moments(row, shape)
+        weight = self._counts.weight[row]
+        scale = 1.0 / (max(weight - 1.0, 1.0) * max(weight, 1.0))
+        total = self._sum_mean[row]
+        ratio = np.where(total != 0, mean, 0.0) / np.where(total != 0, total, 1.0)
+        joint = self._joint[row].reshape(mean.shape)
+        return np.maximum(variance - scale * ratio * (2.0 * joint - ratio * self._sum_square[row]), 0.0)
+
+    def row_batches(self, row: int) -> float:
+        """Batches in which the row took part, as of the size of the last."""
+        return float(self._counts.weight[row])
 
     def energies(self) -> tuple[Array, Array, Array, Array]:
         """All energy of each row, its error, the delta term, its error; shape (rows, channels) each."""

@@ -326,7 +326,7 @@ class StackScene:
         gap[-1] = np.inf if last is None else last.thickness
         handles = [scene.embree for scene in self._scenes if scene is not None]
         self.zones = Zones(
-            embree=handles[0] if handles else Handle(0, 0, 0, 0, 0, 0),
+            embree=handles[0] if handles else Handle(0, 0, 0, 0, 0, 0, 0),
             scene=np.array([PLANE if s is None else s.embree.scene for s in self._scenes], np.int64),
             first_layer=np.array([group[0] for group in groups] + [len(layers)], np.int64),
             box=box,

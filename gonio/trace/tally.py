@@ -40,6 +40,8 @@ class Tally:
     ledger_names : sequence of str
         Names of the ledger's columns from LEDGER_COLUMNS on, such as "absorbed: layer 1 surface". The
         columns before are those of `gonio.trace.analog`: LEDGER, then RAYS.
+    joint : bool
+        As in `gonio.trace.sheets.SheetTally`.
 
     Attributes
     ----------
@@ -62,6 +64,7 @@ class Tally:
         hemispheres: int = 1,
         orders: int = 1,
         ledger_names: Sequence[str] = (),
+        joint: bool = False,
     ) -> None:
         self.batches = 0
         self.rays = 0
@@ -70,9 +73,12 @@ class Tally:
         # energies by the column of the ledger that holds them
         self._columns = dict(enumerate(LEDGER)) | dict(enumerate(ledger_names, LEDGER_COLUMNS))
         shape = rows, cells, channels
-        self.totals = [SheetTally(self.rows, *shape, h * orders, orders) for h in range(hemispheres)]
+        self.totals = [SheetTally(self.rows, *shape, h * orders, orders, joint) for h in range(hemispheres)]
         self.orders: list[list[SheetTally]] = [
-            [SheetTally(self.rows, *shape, h * orders + n) for n in range(orders if orders > 1 else 0)]
+            [
+                SheetTally(self.rows, *shape, h * orders + n, 1, joint)
+                for n in range(orders if orders > 1 else 0)
+            ]
             for h in range(hemispheres)
         ]
         sheets = hemispheres * orders

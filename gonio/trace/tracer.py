@@ -10,6 +10,7 @@ import numpy as np
 from gonio.trace.analog import Beam, Bins, Part, Sums, trace_stack, trace_surface
 from gonio.trace.scene import Optics, TraceScene, pack_optics
 from gonio.trace.stack import Stack, StackScene, pack_stack
+from gonio.trace.stack_looks import clear_zones
 from gonio.trace.transport import MAX_SEGMENTS
 from microgeometry.specimen import Specimen
 from microgeometry.tile import HeightField, SurfaceStatistics, Tile
@@ -43,6 +44,8 @@ class Tracer:
     paths_per_row : int
         Of a batch.
     rows : int
+    looks : int, optional
+        Detectors that a stack's light is joined to at every facet that scatters; default: none.
 
     Attributes
     ----------
@@ -64,13 +67,16 @@ class Tracer:
         The specimen's facets cannot be packed; see `gonio.trace.stack.pack_stack`.
     """
 
-    def __init__(self, specimen: Specimen, seed: int, paths_per_row: int, rows: int = 1) -> None:
+    def __init__(
+        self, specimen: Specimen, seed: int, paths_per_row: int, rows: int = 1, looks: int | None = None
+    ) -> None:
         self.stack: Stack = pack_stack(specimen)
         self.hemispheres = 2 if self.stack.transmits else 1
         self._specimen = specimen
         self._seed = seed
         self._paths_per_row = paths_per_row
         self._paths = paths_per_row * rows
+        self._looks = looks
         layers = specimen.layers
         self.optics = pack_optics(layers[0]) if len(layers) == 1 else None
         self.ledger_names: tuple[str, ...] = ()
@@ -99,7 +105,7 @@ class Tracer:
         if self.optics is not None:
             realisation = Surface(self, self.optics, tiles[0])
         else:
-            realisation = _Layers(self, tiles)
+            realisation = Layers(self, tiles)
         if not self._specimen.is_random:
             self._fixed = realisation
         return realisation
@@ -156,20 +162,29 @@ class Surface:
         )  # fmt: skip
 
 
-class _Layers:
-    """A stack of layers, or one surface that needs more than `Surface` knows: one path at a time."""
+class Layers:
+    """A stack of layers, or one surface that needs more than `Surface` knows: one path at a time; a `Realisation`.
+
+    Attributes
+    ----------
+    clear_layers : int
+        Layers, from the top, whose light detectors may be joined to; see `gonio.trace.stack_looks.clear_zones`.
+    """
 
     def __init__(self, tracer: Tracer, tiles: list[Tile]) -> None:
         self._tracer = tracer
         self._scene = StackScene(tracer._specimen.layers, tiles)
         self._facets = self._scene.label(tracer.stack.facets)
+        self._clear = clear_zones(self._scene.zones, self._facets)
+        self.clear_layers = int(self._scene.zones.first_layer[self._clear])
 
     def trace(self, bins: Bins, beam: Beam, part: Part, batch: int, sums: Sums) -> None:
+        """As `Realisation.trace`."""
         tracer, stack = self._tracer, self._tracer.stack
         max_bounces = MAX_SCATTERINGS if stack.scatters else MAX_BOUNCES
         trace_stack(
             self._scene.zones, self._facets, stack.tables, stack.media, stack.polarised, tracer.to_channels,
-            bins, beam, part, tracer._seed, batch, max_bounces, sums,
+            tracer._looks, self._clear, bins, beam, part, tracer._seed, batch, max_bounces, sums,
         )  # fmt: skip
 
 
