@@ -9,13 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting import fit
+from fitting import Samples, fit
 from fitting.compare import fit_models
-from fitting.merl import fit_all, measurements, medians, published
+from fitting.merl import decode, fit_all, measurements, medians, published
 from fitting.models import find_model
 from fitting.objectives import find_objective
 from fitting.problem import Problem
+from gonio.core.directions import direction
 from gonio.table.table import Table
+
+from .materials import RGB
 
 pytestmark = pytest.mark.compiled
 
@@ -48,11 +51,27 @@ def test_a_fit_is_better_than_the_published_one_by_the_same_measure(real: Path) 
     samples = measurements(real / "nbrdf", "pink-felt")
     others = published(real / "merl_fits" / "fits", "pink-felt", samples)
     assert others["ngan_cooktorrance"]["relative_ngan_l2"] < 0.2
-    for ours, theirs in (("cook_torrance_1982", "ngan_cooktorrance"), ("ward_duer", "ngan_wardduer")):
+    for ours, theirs in (
+        ("cook_torrance_1982", "ngan_cooktorrance"),
+        ("ward_duer", "ngan_wardduer"),
+        ("ashikhmin_shirley+lambert", "ngan_ashikhminshirley"),
+    ):
         best = fit(samples, ours).residuals["relative_ngan_l2"]
         assert best <= others[theirs]["relative_ngan_l2"]
     ours = fit(samples, "beckmann_v_cavity_dielectric+lambert", objective="low_log").residuals["low_log"]
     assert ours <= min(others[file]["low_log"] for file in ("low_cooktorrance_E1", "low_cooktorrance_E2"))
+
+
+def evenly(real: Path, name: str) -> Samples:
+    """A material at directions even in the angles: the sum over them is the integral Ngan minimised.
+
+    Broad highlights only; MERL's own cells weigh the middle of a highlight more than its flanks.
+    """
+    theta, phi = np.radians(np.linspace(0.0, 80.0, 28)), np.linspace(0.0, np.pi, 40)
+    angles = [a.ravel() for a in np.meshgrid(theta, theta, phi, indexing="ij")]
+    with np.load(real / "nbrdf" / "nbrdf_weights.npz") as file:
+        values = decode(file, name, direction(angles[0]), direction(angles[1], angles[2]))
+    return Samples.of_directions(*angles, values, RGB)
 
 
 # Ngan's parameters stand for values without MERL's channel factors (1, 1.15, 1.66).
@@ -60,7 +79,7 @@ def test_a_fit_is_better_than_the_published_one_by_the_same_measure(real: Path) 
 def test_published_roughness_of_broad_highlights_is_found_again(real: Path, name: str) -> None:
     text = (real / "merl_fits" / "fits" / "ngan_cooktorrance.fit").read_text()
     theirs = re.search(rf"^{name} = .*roughness = ([\d.]+)", text, re.MULTILINE)
-    ours = fit(measurements(real / "nbrdf", name), "cook_torrance_1982").lobes[0].parameters["alpha"]
+    ours = fit(evenly(real, name), "cook_torrance_1982").lobes[0].parameters["alpha"]
     assert ours == pytest.approx(float(theirs[1]), rel=0.1)
 
 
@@ -140,7 +159,6 @@ def test_two_lobes_fit_better_than_one(hundred, one: str, two: str) -> None:
     ("ours", "theirs"),
     [
         ("cook_torrance_1982", "ngan_cooktorrance"),
-        ("ashikhmin_shirley", "ngan_ashikhminshirley"),
         ("ward", "ngan_ward"),
         ("ward_duer", "ngan_wardduer"),
     ],
