@@ -1,18 +1,22 @@
-"""The command line of fitting: `gonio fit`, `gonio tabulate`, and the benchmark `fit`."""
+"""The command line of fitting: `gonio fit`, `gonio fit-merl`, `gonio tabulate`, and the benchmark `fit`."""
 
 from __future__ import annotations
 
+import json
+import time
 from pathlib import Path
 
 import click
 import numpy as np
 
+from fitting import merl
 from fitting.compare import Lobes, dumps, fit_lobes, fit_models, isotropic_models, save_fits
 from fitting.models import find_model
 from fitting.objectives import OBJECTIVES
 from fitting.result import Fit
 from fitting.tabulate import tabulate
 from gonio.bench import BENCHMARKS
+from gonio.files import atomic
 from gonio.progress import progress_bar
 from gonio.table.table import Table
 from microgeometry.errors import InputError
@@ -150,6 +154,37 @@ def _summary(found: dict[str, list[Fit]]) -> None:
         click.echo(f"{'':6}{name:48}{value:12.4f}" + (f"  ({count} tables)" if count < len(found) else ""))
 
 
+@click.command("fit-merl")
+@click.argument("networks", metavar="NETWORKS", type=click.Path(path_type=Path))
+@click.option(
+    "--published",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    metavar="FOLDER",
+    help="Published fits (ngan_ward.fit and others) to be judged by the same code.",
+)
+@click.option(
+    "-o", "--output", type=_FILE, metavar="OUT.json", help="Where to write all metrics, by material."
+)
+def fit_merl_command(networks: Path, published: Path | None, output: Path | None) -> None:
+    """Fit every model, with one and two lobes, to the materials of the MERL database, and print medians.
+
+    NETWORKS is nbrdf_weights.npz, the materials as neural networks, or the folder that holds it. Each material
+    is looked at in 31 214 cells of MERL's grid, angles above 80 degrees left out.
+    """
+    began = time.perf_counter()
+    with progress_bar("fit-merl") as progress:
+        count = len(merl.materials(networks))
+        found = merl.fit_all(
+            networks, published, lambda name, left: progress((count - left) / count, f"{name}, {left} left")
+        )
+    for line in merl.report(found):
+        click.echo(line)
+    click.echo(f"{len(found)} materials, {time.perf_counter() - began:.0f} s")
+    if output is not None:
+        with atomic(output) as temporary:
+            Path(temporary).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
 @click.command("tabulate")
 @click.argument("fit_file", metavar="FIT.json", type=_FILE)
 @click.option("-o", "--output", type=_FILE, required=True, metavar="T.h5", help="Where to write the table.")
@@ -166,4 +201,4 @@ def tabulate_command(fit_file: Path, output: Path) -> None:
         click.echo(f"{output}: {loss}", err=True)
 
 
-COMMANDS: tuple[click.Command, ...] = (fit_command, tabulate_command)
+COMMANDS: tuple[click.Command, ...] = (fit_command, fit_merl_command, tabulate_command)

@@ -49,7 +49,8 @@ def fit(
     model : str or Model
         A name of `fitting.models.MODELS`, or a sum of lobes and models, as in "ggx+ggx+lambert".
     objective : str, optional
-        One of `fitting.objectives`; default: "chi2" where standard errors are known, else "ngan_l2".
+        One of `fitting.objectives`; default: "chi2" where standard errors are known, else "ngan_l2". The others,
+        low_log, nbrdf and cube_root, are biased on a table of few hits a cell: they find faint lobes too dark.
     seed : int
         Where the global stage starts.
     max_seconds : float

@@ -16,6 +16,11 @@ There a step of the search looks at the quadratic that touches the objective at 
 itself falls: Gauss and Newton's method with the coefficients as unknowns like any other. nbrdf is least
 absolute deviations, done by iteratively re-weighted least squares: near 0 its modulus is rounded off over a
 hundredth of its own mean.
+
+These others are also biased by noise: the logarithm and the root of a count scatter below those of its mean.
+Where a table's cells have few hits they find the faint parts of a surface too dark. At 4 hits a cell and channel
+the albedo of a diffuse lobe of 0.06 comes out as 0.050 under low_log and below 0.01 under nbrdf and cube_root, at
+60 hits as 0.058, 0.057 and 0.056; chi2 and ngan_l2 find it within their intervals.
 """
 
 from __future__ import annotations

@@ -29,6 +29,7 @@ _PLACES = (0.25, 0.5, 0.75)  # of a new lobe's parameters in their range
 _OPTICS = 10  # other starts
 _MOVED = 1e-7  # of the range of a shape parameter: close enough
 _GAIN = 1e-3  # of a degree of freedom's share of the objective: a thirtieth of a standard error
+_NO_GAIN = 1e-6  # of it: a thousandth of a standard error, however far the parameters still go
 _ROUGH_GAIN = 1e-4  # of the objective, where a minimum is only compared with others
 _DAMPING = 1e-3  # when a step has failed first
 _MOST_DAMPING = 1e8
@@ -208,7 +209,9 @@ def descend(
     """Minimise from a point near the minimum: Levenberg and Marquardt's steps of all unknowns within bounds.
 
     The matrix of a step is that of Golub and Pereyra's in Kaufman's form if the coefficients are at their
-    best, as they are after every look at a quadratic objective. A step costs one look at the cells.
+    best, as they are after every look at a quadratic objective. A step costs one look at the cells. Where much
+    is left over the matrix is not that of the second derivatives, and its steps go too far or not far enough,
+    one like the other: two of the same damping are mixed (Anderson 1965).
 
     Parameters
     ----------
@@ -227,6 +230,7 @@ def descend(
         The best met, also where time ran out.
     """
     point, damping = start, 0.0
+    last: tuple[float, Array, Array] | None = None  # damping, position and step of one that was taken
     freedom = max(1, problem.samples.values.size - problem.size)
     d = len(problem.parameters)
     for count in range(_STEPS):
@@ -237,18 +241,33 @@ def descend(
         step = bounded_step(problem, point, matrix, right, damping)
         gain = float(2.0 * step @ right - step @ matrix @ step)
         small = np.abs(step[:d]).max(initial=0.0) < _MOVED and damping == 0.0
-        if (abs(gain) < _GAIN * point.value / freedom and small) or damping > _MOST_DAMPING:
+        share = point.value / freedom
+        if (abs(gain) < _GAIN * share and small) or damping > _MOST_DAMPING:
             break
-        if 0.0 < gain < rough * point.value:
+        if 0.0 < gain < max(rough * point.value, _NO_GAIN * share):
             break
-        trial = problem.evaluate(*problem.moved(point, step)) if gain > 0.0 else point
+        position = np.concatenate([point.x, point.coefficients.ravel()])
+        before, last = (last, None) if last is not None and last[0] == damping else (None, last)
+        mixed = step if before is None else _mixed(matrix, position, step, *before[1:])
+        trial = problem.evaluate(*problem.moved(point, mixed)) if gain > 0.0 else point
         if trial.value < point.value:
             rewarded = point.value - trial.value > 0.1 * gain
+            last = damping, position, step
             point, damping = trial, (0.0 if rewarded and damping <= _DAMPING else 0.1 * damping)
         else:
             damping = max(_DAMPING, 10.0 * damping)
     budget.tell(span[1], point)
     return point
+
+
+def _mixed(matrix: Array, position: Array, step: Array, before: Array, last: Array) -> Array:
+    """The step to where steps vanish, if they change as they did from `before`, where there was a step `last`."""
+    change = step - last
+    length = float(change @ matrix @ change)
+    if not length > 0.0:
+        return step
+    share = float(step @ matrix @ change) / length
+    return step - share * (position - before + change)
 
 
 def bounded_step(problem: Problem, point: Point, matrix: Array, right: Array, damping: float) -> Array:

@@ -52,7 +52,11 @@ _BECKMANN, _GGX, _GTR = range(3)
 _SMITH, _SEPARABLE, _V_CAVITY = range(3)
 _SCHLICK, _DIELECTRIC, _CONDUCTOR = range(3)
 
-_gtr_hidden, _gtr_hidden_slope, gtr_slope = gtr_facets.hidden, gtr_facets.hidden_slope, gtr_facets.log_slopes
+_gtr_hidden, _gtr_hidden_slopes, gtr_slope = (
+    gtr_facets.hidden,
+    gtr_facets.hidden_slopes,
+    gtr_facets.log_slopes,
+)
 
 _DISTRIBUTIONS: tuple[tuple[str, tuple[Parameter, ...], str], ...] = (
     (
@@ -172,6 +176,10 @@ def slopes(variant, p, tangents, wi, wo, values, out):
     d, g, f = variant % 3, variant // 3 % 3, variant // 9
     wh = half_vector(wi, wo)
     facets = 2 if d == _GTR else 1
+    hidden_i, i0, i1, hidden_o, o0, o1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    if g != _V_CAVITY:
+        hidden_i, i0, i1 = _hidden_slopes(d, p, tangents, wi)
+        hidden_o, o0, o1 = _hidden_slopes(d, p, tangents, wo)
     for j in range(facets):
         if d == _GGX:
             log = ggx_slope(p[SHAPE], wh)
@@ -180,8 +188,7 @@ def slopes(variant, p, tangents, wi, wo, values, out):
         else:
             log = gtr_slope(p, tangents, wh, j)
         if g != _V_CAVITY:
-            hidden_i, slope_i = _hidden_slope(d, p, tangents, wi, j)
-            hidden_o, slope_o = _hidden_slope(d, p, tangents, wo, j)
+            slope_i, slope_o = (i0, o0) if j == 0 else (i1, o1)
             if g == _SMITH:
                 seen = wi[2] * wo[2] + wo[2] * hidden_i + wi[2] * hidden_o
                 log -= (wo[2] * slope_i + wi[2] * slope_o) / seen
@@ -203,13 +210,12 @@ def slopes(variant, p, tangents, wi, wo, values, out):
 
 
 @kernel(allocates=False)
-def _hidden_slope(d, p, tangents, w, j):
-    """`_hidden` and its derivative by parameter j of the facets."""
-    if d == _GGX:
-        return ggx_hidden_slope(p[SHAPE], w[2])
-    if d == _BECKMANN:
-        return beckmann_hidden_slope(p[SHAPE], w)
-    return _gtr_hidden_slope(p, tangents, w[2], j)
+def _hidden_slopes(d, p, tangents, w):
+    """`_hidden` and its derivatives by the facets' parameters, the second 0 where there is one."""
+    if d == _GTR:
+        return _gtr_hidden_slopes(p, tangents, w[2])
+    value, slope = ggx_hidden_slope(p[SHAPE], w[2]) if d == _GGX else beckmann_hidden_slope(p[SHAPE], w)
+    return value, slope, 0.0
 
 
 @kernel(allocates=False)

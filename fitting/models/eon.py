@@ -33,7 +33,7 @@ LOBE = Lobe(
     terms=(Term("rho"), Term("rho", power=2, feedback=missing)),
     source=(
         "Portsmouth, Kutz and Hill, EON: a practical energy-preserving rough diffuse BRDF, "
-        "arXiv 2410.18026, 2024, listing 1"
+        "arXiv 2410.18026, 2024"
     ),
     errata="The exact directional albedo is used, not the paper's fit to it.",
     diffuse=True,
@@ -97,7 +97,7 @@ def _uniform_share(r):
 
 @kernel(allocates=False)
 def _lacking(mu):
-    """C1 - G/pi, in which E = 1 - r (C1 - G/pi)/(1 + C1 r) (the paper's eq. 10); 0 at the horizon.
+    """C1 - G/pi, in which the albedo E = 1 - r (C1 - G/pi)/(1 + C1 r); 0 at the horizon.
 
     So written that mu = 0 is no 0/0.
     """

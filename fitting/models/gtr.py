@@ -26,7 +26,7 @@ _TERMS = SIZE - _SERIES
 _NODES = np.cos(np.pi * (np.arange(_TERMS) + 0.5) / _TERMS)
 _TRANSFORM = np.cos(np.outer(np.arange(_TERMS), np.arccos(_NODES))) * (2.0 / _TERMS)
 _TRANSFORM[0] *= 0.5
-_GAUSS, _WEIGHTS = (0.5 * a for a in np.polynomial.legendre.leggauss(200))
+_GAUSS, _WEIGHTS = (0.5 * a for a in np.polynomial.legendre.leggauss(100))
 _GAUSS = _GAUSS + 0.5
 
 
@@ -77,26 +77,29 @@ def log_slopes(p, tangents, wm, j):
 
 
 @kernel(allocates=False)
-def hidden_slope(p, tangents, cos_theta, j):
-    """`hidden` and its derivative by parameter j: of the coefficients, and of where the series is read."""
+def hidden_slopes(p, tangents, cos_theta):
+    """`hidden` and its derivatives by alpha and gamma: of the coefficients, and of where the series is read."""
     if cos_theta >= 1.0:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     ratio = cos_theta / p[SHAPE]
     place = math.asinh(ratio)
     x = place * p[DERIVED + 1] - 1.0
-    moved = place * tangents[j, DERIVED + 1]
-    if j == 0:
-        moved -= ratio / p[SHAPE] / math.sqrt(1.0 + ratio * ratio) * p[DERIVED + 1]
+    moved_0 = place * tangents[0, DERIVED + 1]
+    moved_0 -= ratio / p[SHAPE] / math.sqrt(1.0 + ratio * ratio) * p[DERIVED + 1]
     # T_n and U_n-1 by their recurrences; dT_n/dx = n U_n-1
     t0, t1, u0, u1 = 1.0, x, 0.0, 1.0
-    series, change = p[_SERIES], tangents[j, _SERIES]
+    series, by_x = p[_SERIES], 0.0
+    change_0, change_1 = tangents[0, _SERIES], tangents[1, _SERIES]
     for n in range(1, SIZE - _SERIES):
         series += p[_SERIES + n] * t1
-        change += tangents[j, _SERIES + n] * t1 + p[_SERIES + n] * n * u1 * moved
+        by_x += p[_SERIES + n] * n * u1
+        change_0 += tangents[0, _SERIES + n] * t1
+        change_1 += tangents[1, _SERIES + n] * t1
         t0, t1 = t1, 2.0 * x * t1 - t0
         u0, u1 = u1, 2.0 * x * u1 - u0
     value = math.exp(series) * (1.0 - cos_theta * cos_theta)
-    return value, value * change
+    moved_1 = place * tangents[1, DERIVED + 1]
+    return value, value * (change_0 + by_x * moved_0), value * (change_1 + by_x * moved_1)
 
 
 def derive(alpha: float, gamma: float, *_fresnel: float) -> np.ndarray:

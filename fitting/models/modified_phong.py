@@ -18,7 +18,7 @@ LOBE = Lobe(
     kind=VARIANTS * FAMILY,
     parameters=(Parameter("exponent", 1.0, 1e6, "log", "n; 100 is a highlight of 6 degrees"),),
     terms=(Term("ks"),),
-    source="Lafortune and Willems, Using the modified Phong reflectance model, KU Leuven CW 197, 1994, eq. 5",
+    source="Lafortune and Willems, Using the modified Phong reflectance model, KU Leuven CW 197, 1994",
 )
 
 

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from fitting import Fit
-from fitting.commands import COMMANDS, fit_command, tabulate_command
+from fitting.commands import COMMANDS, fit_command, fit_merl_command, tabulate_command
 from gonio.bench import BENCHMARKS
 from gonio.table.table import Table
 from microgeometry.errors import InputError
@@ -24,7 +24,7 @@ def run(command, *arguments: object):
 
 
 def test_names() -> None:
-    assert [c.name for c in COMMANDS] == ["fit", "tabulate"]
+    assert [c.name for c in COMMANDS] == ["fit", "fit-merl", "tabulate"]
 
 
 def test_fit_writes_json_and_prints_it(tmp_path: Path) -> None:
@@ -79,6 +79,14 @@ def test_bad_input_raises_what_the_command_line_reports(tmp_path: Path) -> None:
     assert isinstance(
         run(tabulate_command, tmp_path / "none.json", "-o", tmp_path / "T.h5").exception, InputError
     )
+
+
+def test_networks_that_are_not_there(tmp_path: Path) -> None:
+    result = run(fit_merl_command, tmp_path)
+    assert isinstance(result.exception, InputError)
+    assert "nbrdf_weights.npz: does not exist" in str(result.exception)
+    np.savez(tmp_path / "nbrdf_weights.npz", **{"rgl/other|0": np.zeros(1)})
+    assert "no array is called merl/" in str(run(fit_merl_command, tmp_path).exception)
 
 
 def test_the_benchmark_of_fits_is_registered() -> None:

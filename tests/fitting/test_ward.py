@@ -29,6 +29,12 @@ def test_normalisations(lobe: str, mirror: float, retro: float) -> None:
     assert found == pytest.approx(PEAK * retro * math.exp(-12), rel=1e-12)
 
 
+def test_fresnel_splits_the_bounded_lobe() -> None:
+    # mirror at 60 degrees: s = (1 - 1/2)^5 = 1/32
+    found = terms("ward_fresnel", polar(60.0), polar(60.0, 180.0), alpha=0.5)
+    assert found == pytest.approx((PEAK * 4.0 * 31 / 32, PEAK * 4.0 / 32), rel=1e-12)
+
+
 @pytest.mark.parametrize(("phi", "exponent"), [(0.0, 4 / 3), (90.0, 16 / 3), (45.0, 10 / 3)])
 def test_alpha_x_is_along_x(phi: float, exponent: float) -> None:
     # light on the normal, detector at 60: tan^2 delta = 1/3; alpha_x = 1/2, alpha_y = 1/4
