@@ -38,6 +38,12 @@ class Bins(NamedTuple):
     """Edges of sin^2 theta_r."""
     phi: Axis
     """Edges of -cos(delta phi)."""
+    slope: Axis
+    """Edges of the peak's half-vector slopes, where it has a grid of its own; see `gonio.table.peak`."""
+    psi: Axis
+    """Edges of -cos(psi)."""
+    peak: int
+    """First of the peak's cells, behind the others; -1: it has none."""
     orders: int
     """Numbers of bounces told apart; the last collects all beyond."""
     share: NDArray[np.float64]
@@ -48,7 +54,7 @@ class Sums(NamedTuple):
     """Where a unit of work adds its exits; see `gonio.trace.tally`."""
 
     cells: NDArray[np.float64]
-    """(sheets, R * P, C + 1): the sum of weights in each channel, and the number of paths, of each cell."""
+    """(sheets, R * P + S * Q, C + 1): the sum of weights in each channel, and the number of paths, of each cell."""
     specular: NDArray[np.float64]
     """(sheets, C): energy in exactly the mirror direction, or straight through."""
     energy: NDArray[np.float64]
@@ -132,7 +138,7 @@ def _trace_packets(
         wi, azimuth = _incident(beam, u, v)
         i, j = morton(k)
         start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, batch, path)
-        mirror_x, mirror_y = packet[DIR_X, 0], packet[DIR_Y, 0]
+        mirror_x, mirror_y, mirror_z = packet[DIR_X, 0], packet[DIR_Y, 0], packet[DIR_Z, 0]
         sums.ledger[RAYS] += trace_packet(
             embree, box, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path,
             weight, polarisation, axis, retreat, bounces, status, absorbed,
@@ -143,9 +149,12 @@ def _trace_packets(
             # a facet parallel to the macroscopic plane leaves these two components untouched, to the bit;
             # no other path ends so but by a chance of 1e-14
             delta = albedo is None and x == mirror_x and y == mirror_y
+            fine = -1
+            if bins.peak >= 0 and status[lane] == REFLECTED:
+                fine = _peak_cell(bins, x - mirror_x, y - mirror_y, packet[DIR_Z, lane] - mirror_z, azimuth)
             _count(
-                to_channels, bins, sums, packet[HIT_U, lane], packet[HIT_V, lane], status[lane], bounces[lane],
-                delta, weight[lane],
+                to_channels, bins, sums, packet[HIT_U, lane], packet[HIT_V, lane], fine, status[lane],
+                bounces[lane], delta, weight[lane],
             )  # fmt: skip
     for sample in range(absorbed.shape[0]):
         sums.ledger[ABSORBED_COLUMN] += bins.share[sample] * absorbed[sample]
@@ -210,7 +219,10 @@ def _trace_paths(
             for s in range(weight.shape[0]):
                 weight[s] = light[s, 0]
             sin2, cosine = _coordinates(wo[0], wo[1], wo[2], azimuth)
-            _count(to_channels, bins, sums, sin2, cosine, status, bounces, straight, weight)
+            fine = -1
+            if bins.peak >= 0 and status == REFLECTED:
+                fine = _peak_cell(bins, wi[0] + wo[0], wi[1] + wo[1], wi[2] + wo[2], azimuth)
+            _count(to_channels, bins, sums, sin2, cosine, fine, status, bounces, straight, weight)
     for column in range(absorbed.shape[0]):
         sums.ledger[LEDGER_COLUMNS + column] += absorbed[column]
         sums.ledger[ABSORBED_COLUMN] += absorbed[column]
@@ -264,9 +276,20 @@ def _exit(packet, azimuth):
         packet[HIT_V, lane] = cosine
 
 
+@kernel(allocates=False)
+def _peak_cell(bins, x, y, z, azimuth):
+    """The peak's cell that wi + wo = (x, y, z) falls in; -1 where it is outside of these."""
+    across = math.sqrt(x * x + y * y)
+    if not across < bins.slope.edges[-1] * z:
+        return -1
+    cosine = (azimuth[0] * x + azimuth[1] * y) / across if across > 0.0 else 1.0
+    sectors = bins.psi.edges.shape[0] - 1
+    return bins.peak + find(bins.slope, across / z) * sectors + find(bins.psi, -cosine)
+
+
 @kernel(inline=True, allocates=False)
-def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, weight):
-    """Add what is left of one path (`weight`, shape (S,)) to where it ended; from `_coordinates`."""
+def _count(to_channels, bins, sums, sin2, cosine, fine, status, bounces, delta, weight):
+    """Add what is left of one path (`weight`, shape (S,)) to where it ended; from `_coordinates`, `_peak_cell`."""
     energy = 0.0
     for s in range(weight.shape[0]):
         energy += bins.share[s] * weight[s]
@@ -294,8 +317,12 @@ def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, weight
             sums.specular[sheet, channel] += w
         else:
             sums.cells[sheet, cell, channel] += w
+            if fine >= 0:
+                sums.cells[sheet, fine, channel] += w
     if not delta:
         sums.cells[sheet, cell, channels] += 1.0
+        if fine >= 0:
+            sums.cells[sheet, fine, channels] += 1.0
 
 
 @kernel(allocates=False)

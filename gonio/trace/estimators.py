@@ -16,8 +16,8 @@ HALF_VECTOR = "half-vector"
 """Single bounces off a rough metal by `gonio.trace.half_vector`; what bounces more is binned in coarse cells."""
 ESTIMATORS = ANALOG, HALF_VECTOR
 
-LEAST_ALPHA = 0.03
-"""Below, the distribution of tilts is too steep for the bins of tilt and the points of a 1-degree cell."""
+LEAST_ALPHA = 0.04
+"""Of half vectors. Below, a highlight is narrow for cells of one degree: see `gonio.trace.peak_grid`."""
 
 _SURFACES = Gaussian, Exponential, SelfAffine
 

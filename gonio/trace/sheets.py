@@ -73,11 +73,11 @@ class Sheet(Protocol):
         """Paths that ended in each cell, shape (rows, cells); None where cells do not rest on paths."""
         ...
 
-    def cells(self, projected_solid_angles: Array) -> tuple[Array, Array]:
+    def cells(self, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
         """As `SheetTally.cells`."""
         ...
 
-    def row_cells(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
+    def row_cells(self, row: int, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
         """As `SheetTally.row_cells`."""
         ...
 
@@ -166,30 +166,32 @@ class SheetTally:
         self._cells_square[row] += increase
         self._cells_fourth[row] += increase**2
 
-    def cells(self, projected_solid_angles: Array) -> tuple[Array, Array]:
+    def cells(self, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
         """Mean BRDF of every cell and its standard error, 1/sr, shape (rows, rings, sectors, channels) each.
 
         Parameters
         ----------
         projected_solid_angles : ndarray, shape (rings, sectors)
-            In sr.
+            In sr; or whatever else the energy is to be per.
+        first : int
+            The cell of a row that these begin with.
         """
         shape = (len(self._mean), *projected_solid_angles.shape, self._mean.shape[2])
         values, std_error = np.empty(shape), np.empty(shape)
         for row in range(shape[0]):
-            values[row], std_error[row] = self.row_cells(row, projected_solid_angles)
+            values[row], std_error[row] = self.row_cells(row, projected_solid_angles, first)
         return values, std_error
 
-    def row_cells(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
+    def row_cells(self, row: int, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
         """One row of `cells`; how errors are found is said in `gonio.trace.error_bars`."""
         omega = projected_solid_angles[:, :, None]
         shape = (*projected_solid_angles.shape, -1)
         weight = self._counts.weight[row]
-        mean = self._mean[row].reshape(shape)
-        variance = self._square[row].reshape(shape) / (max(weight - 1.0, 1.0) * max(weight, 1.0))
-        std_error = cell_errors(
-            mean, variance, self.hits[row].reshape(shape[:2]), projected_solid_angles, self._counts.paths[row]
-        )
+        mine = slice(first, first + projected_solid_angles.size)
+        mean = self._mean[row, mine].reshape(shape)
+        variance = self._square[row, mine].reshape(shape) / (max(weight - 1.0, 1.0) * max(weight, 1.0))
+        hits = self.hits[row, mine].reshape(shape[:2])
+        std_error = cell_errors(mean, variance, hits, projected_solid_angles, self._counts.paths[row])
         return mean / omega, std_error / omega
 
     def energies(self) -> tuple[Array, Array, Array, Array]:
