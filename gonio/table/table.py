@@ -303,19 +303,11 @@ class Table:
         -------
         ndarray, shape (..., C)
         """
-        albedo, specular = self._row_quantities(theta_i)
-        return albedo + specular
-
-    def directional_specular(self, theta_i: ArrayLike) -> Array:
-        """Reflectance into exactly the mirror direction; as `albedo`."""
-        return self._row_quantities(theta_i)[1]
-
-    def _row_quantities(self, theta_i: ArrayLike) -> tuple[Array, Array]:
         cos_i = np.cos(np.asarray(theta_i, float))
         albedo = np.empty((cos_i.size, len(self.channels)))
         specular = np.empty_like(albedo)
         many.row_quantities_many(self.pool, 0, cos_i.ravel(), albedo, specular)
-        return albedo.reshape(*cos_i.shape, -1), specular.reshape(*cos_i.shape, -1)
+        return (albedo + specular).reshape(*cos_i.shape, -1)
 
 
 def _flat(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:

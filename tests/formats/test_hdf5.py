@@ -14,6 +14,7 @@ from gonio.table.parts import walk
 from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
+from tests.formats.damage import refused
 from tests.table.tables import asymmetric, grid, make, with_parts
 
 
@@ -224,11 +225,7 @@ def edit_new(path):
 def test_damaged_files(saved, name):
     damage, message = DAMAGE[name]
     damage(saved)
-    with pytest.raises(InputError, match=message) as caught:
-        Table.load(saved)
-    assert str(saved) in str(caught.value)
-    assert str(caught.value).count(str(saved)) == 1
-    assert "\n" not in str(caught.value)
+    refused(saved, message)
 
 
 def test_a_claim_no_file_can_hold(saved):
