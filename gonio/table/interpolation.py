@@ -120,18 +120,23 @@ def eval_table(pool, t, wi, wo, out):
     out : ndarray, shape (C,)
         Receives f_r in 1/sr per channel; 0 where a direction is below the horizon.
     """
-    for c in range(pool.header[t, N_CHANNELS]):
-        out[c] = 0.0
     if wi[2] < 0.0 or wo[2] < 0.0:
+        for c in range(pool.header[t, N_CHANNELS]):
+            out[c] = 0.0
         return
     v, u, phi = _coordinates(wi, wo)
-    _add_values(pool, t, v, u, phi, 1.0, out)
-    peak = pool.header[t, PEAK]
-    if peak >= 0:
-        for side in (1.0, -1.0):
-            u, psi, density = _slopes(pool, peak, wi, wo, side)
-            if density > 0.0:
-                _add_values(pool, peak, v, u, psi, density, out)
+    _values(pool, t, v, u, phi, None, out)
+    if pool.header[t, PEAK] >= 0:
+        _add_peak(pool, pool.header[t, PEAK], wi, wo, v, out)
+
+
+@kernel(allocates=False)
+def _add_peak(pool, peak, wi, wo, v, out):
+    """Add a peak's values to `out`, shape (C,)."""
+    for side in (1.0, -1.0):
+        u, psi, density = _slopes(pool, peak, wi, wo, side)
+        if density > 0.0:
+            _values(pool, peak, v, u, psi, density, out)
 
 
 @kernel(allocates=False)
@@ -154,9 +159,9 @@ def _slopes(pool, peak, wi, wo, side):
     return across2 / (extent2 * z * z), math.acos(min(1.0, max(-1.0, cosine))), density
 
 
-@kernel(allocates=False)
-def _add_values(pool, t, v, u, phi, scale, out):
-    """Add `scale` times the function of line `t` at a point to `out`, shape (C,)."""
+@kernel(inline=True, allocates=False)
+def _values(pool, t, v, u, phi, scale, out):
+    """Put the function of line `t` at a point into `out`, shape (C,); with a `scale`, add so much of it."""
     n = pool.header[t, N_CHANNELS]
     a, b, w = locate_row(pool, t, v)
     k, x, j, y = _locate_point(pool, t, u, phi)
@@ -177,7 +182,11 @@ def _add_values(pool, t, v, u, phi, scale, out):
         q = at_b + c
         f_a = w00 * values[p] + w01 * values[p + n] + w10 * values[p + ring] + w11 * values[p + ring + n]
         f_b = w00 * values[q] + w01 * values[q + n] + w10 * values[q + ring] + w11 * values[q + ring + n]
-        out[c] += scale * ((1.0 - w) * pool.rows[factor_a + c] * f_a + w * pool.rows[factor_b + c] * f_b)
+        f = (1.0 - w) * pool.rows[factor_a + c] * f_a + w * pool.rows[factor_b + c] * f_b
+        if scale is None:
+            out[c] = f
+        else:
+            out[c] += scale * f
 
 
 @kernel(allocates=False)
@@ -205,11 +214,10 @@ def _row_mean(pool, t, row):
 
 
 @kernel(allocates=False)
-def _mean_albedo(pool, t, v):
-    """Abar between rows; 0 of a peak that does not exist."""
+def _mean_albedo(pool, t, a, b, w):
+    """Abar between rows; 0 of a peak that does not exist. A peak has its table's rows."""
     if t < 0:
         return 0.0
-    a, b, w = locate_row(pool, t, v)
     return (1.0 - w) * _row_mean(pool, t, a) + w * _row_mean(pool, t, b)
 
 
@@ -224,7 +232,7 @@ def pdf_table(pool, t, wi, wo):
     v, u, phi = _coordinates(wi, wo)
     a, b, w = locate_row(pool, t, v)
     peak = pool.header[t, PEAK]
-    total = _mean_albedo(pool, t, v) + _mean_albedo(pool, peak, v)
+    total = _mean_albedo(pool, t, a, b, w) + _mean_albedo(pool, peak, a, b, w)
     if total <= 0.0:
         return 0.0
     k, x, j, y = _locate_point(pool, t, u, phi)
@@ -313,9 +321,10 @@ def sample_table(pool, t, wi, u0, u1, u2):
         Per solid angle; 0 where nothing is reflected (`wo` is then the normal, and to be discarded).
     """
     v = min(1.0, wi[0] * wi[0] + wi[1] * wi[1])
+    a, b, w = locate_row(pool, t, v)
     peak = pool.header[t, PEAK]
-    own = _mean_albedo(pool, t, v)
-    total = own + _mean_albedo(pool, peak, v)
+    own = _mean_albedo(pool, t, a, b, w)
+    total = own + _mean_albedo(pool, peak, a, b, w)
     if wi[2] < 0.0 or total <= 0.0:
         return (0.0, 0.0, 1.0), 0.0
     ex, ey = 1.0, 0.0
@@ -324,9 +333,9 @@ def sample_table(pool, t, wi, u0, u1, u2):
         ex, ey = wi[0] / length, wi[1] / length
     u2 *= total
     if total > own and u2 >= own:
-        wo = _sample_slope(pool, peak, wi, ex, ey, v, u0, u1, u2 - own)
+        wo = _sample_slope(pool, peak, wi, ex, ey, a, b, w, u0, u1, u2 - own)
         return wo, pdf_table(pool, t, wi, wo)
-    u, cos_phi, sin_phi, mean = _sample_line(pool, t, v, u0, u1, u2)
+    u, cos_phi, sin_phi, mean = _sample_line(pool, t, a, b, w, u0, u1, u2)
     radius = math.sqrt(min(1.0, u))
     cos_o = math.sqrt(max(0.0, 1.0 - u))
     wo = (radius * (cos_phi * ex - sin_phi * ey), radius * (cos_phi * ey + sin_phi * ex), cos_o)
@@ -336,9 +345,9 @@ def sample_table(pool, t, wi, u0, u1, u2):
 
 
 @kernel(allocates=False)
-def _sample_slope(pool, peak, wi, ex, ey, v, u0, u1, u2):
+def _sample_slope(pool, peak, wi, ex, ey, a, b, w, u0, u1, u2):
     """Draw `wo` from a peak; (ex, ey) is the azimuth of `wi`, the rest as in `_sample_line`."""
-    u, cos_psi, sin_psi, _ = _sample_line(pool, peak, v, u0, u1, u2)
+    u, cos_psi, sin_psi, _ = _sample_line(pool, peak, a, b, w, u0, u1, u2)
     slope = pool.extent[peak] * math.sqrt(u)
     cos_h = 1.0 / math.sqrt(1.0 + slope * slope)
     sin_h = slope * cos_h
@@ -348,12 +357,11 @@ def _sample_slope(pool, peak, wi, ex, ey, v, u0, u1, u2):
 
 
 @kernel(allocates=False)
-def _sample_line(pool, t, v, u0, u1, u2):
-    """Draw a point of line `t` in proportion to its channel mean; `u2` is uniform in [0, its Abar).
+def _sample_line(pool, t, a, b, w, u0, u1, u2):
+    """Draw a point of line `t`, between rows a and b, in proportion to its mean; `u2` is uniform in [0, its Abar).
 
     Returns u, cosine and sine of the azimuth, and the channel mean there.
     """
-    a, b, w = locate_row(pool, t, v)
     share_a = (1.0 - w) * _row_mean(pool, t, a)
     share_b = w * _row_mean(pool, t, b)
     row = a

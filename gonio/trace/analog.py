@@ -149,13 +149,13 @@ def _trace_packets(
             # a facet parallel to the macroscopic plane leaves these two components untouched, to the bit;
             # no other path ends so but by a chance of 1e-14
             delta = albedo is None and x == mirror_x and y == mirror_y
-            fine = -1
-            if bins.peak >= 0 and status[lane] == REFLECTED:
-                fine = _peak_cell(bins, x - mirror_x, y - mirror_y, packet[DIR_Z, lane] - mirror_z, azimuth)
             _count(
-                to_channels, bins, sums, packet[HIT_U, lane], packet[HIT_V, lane], fine, status[lane],
-                bounces[lane], delta, weight[lane],
+                to_channels, bins, sums, packet[HIT_U, lane], packet[HIT_V, lane], status[lane], bounces[lane],
+                delta, weight[lane],
             )  # fmt: skip
+            if bins.peak >= 0 and status[lane] == REFLECTED and not delta:
+                half = x - mirror_x, y - mirror_y, packet[DIR_Z, lane] - mirror_z
+                _count_peak(to_channels, bins, sums, half, azimuth, bounces[lane], weight[lane])
     for sample in range(absorbed.shape[0]):
         sums.ledger[ABSORBED_COLUMN] += bins.share[sample] * absorbed[sample]
 
@@ -219,10 +219,10 @@ def _trace_paths(
             for s in range(weight.shape[0]):
                 weight[s] = light[s, 0]
             sin2, cosine = _coordinates(wo[0], wo[1], wo[2], azimuth)
-            fine = -1
-            if bins.peak >= 0 and status == REFLECTED:
-                fine = _peak_cell(bins, wi[0] + wo[0], wi[1] + wo[1], wi[2] + wo[2], azimuth)
-            _count(to_channels, bins, sums, sin2, cosine, fine, status, bounces, straight, weight)
+            _count(to_channels, bins, sums, sin2, cosine, status, bounces, straight, weight)
+            if bins.peak >= 0 and status == REFLECTED and not straight:
+                half = wi[0] + wo[0], wi[1] + wo[1], wi[2] + wo[2]
+                _count_peak(to_channels, bins, sums, half, azimuth, bounces, weight)
     for column in range(absorbed.shape[0]):
         sums.ledger[LEDGER_COLUMNS + column] += absorbed[column]
         sums.ledger[ABSORBED_COLUMN] += absorbed[column]
@@ -277,19 +277,36 @@ def _exit(packet, azimuth):
 
 
 @kernel(allocates=False)
-def _peak_cell(bins, x, y, z, azimuth):
-    """The peak's cell that wi + wo = (x, y, z) falls in; -1 where it is outside of these."""
+def _count_peak(to_channels, bins, sums, half, azimuth, bounces, weight):
+    """Add a reflected path to the peak's cell that wi + wo = `half` falls in, if any."""
+    x, y, z = half
     across = math.sqrt(x * x + y * y)
     if not across < bins.slope.edges[-1] * z:
-        return -1
+        return
     cosine = (azimuth[0] * x + azimuth[1] * y) / across if across > 0.0 else 1.0
     sectors = bins.psi.edges.shape[0] - 1
-    return bins.peak + find(bins.slope, across / z) * sectors + find(bins.psi, -cosine)
+    cell = bins.peak + find(bins.slope, across / z) * sectors + find(bins.psi, -cosine)
+    sheet = max(0, min(bounces, bins.orders) - 1)
+    channels = sums.energy.shape[1]
+    for channel in range(channels):
+        sums.cells[sheet, cell, channel] += _in_channel(to_channels, channel, weight)
+    sums.cells[sheet, cell, channels] += 1.0
 
 
 @kernel(inline=True, allocates=False)
-def _count(to_channels, bins, sums, sin2, cosine, fine, status, bounces, delta, weight):
-    """Add what is left of one path (`weight`, shape (S,)) to where it ended; from `_coordinates`, `_peak_cell`."""
+def _in_channel(to_channels, channel, weight):
+    """What the energies of the samples are in a channel of the table."""
+    if to_channels is None:
+        return weight[channel]
+    w = 0.0
+    for s in range(weight.shape[0]):
+        w += to_channels[channel, s] * weight[s]
+    return w
+
+
+@kernel(inline=True, allocates=False)
+def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, weight):
+    """Add what is left of one path (`weight`, shape (S,)) to where it ended; from `_coordinates`."""
     energy = 0.0
     for s in range(weight.shape[0]):
         energy += bins.share[s] * weight[s]
@@ -306,23 +323,14 @@ def _count(to_channels, bins, sums, sin2, cosine, fine, status, bounces, delta, 
     cell = ring * sectors + find(bins.phi, -cosine)
     channels = sums.energy.shape[1]
     for channel in range(channels):
-        if to_channels is None:
-            w = weight[channel]
-        else:
-            w = 0.0
-            for s in range(weight.shape[0]):
-                w += to_channels[channel, s] * weight[s]
+        w = _in_channel(to_channels, channel, weight)
         sums.energy[sheet, channel] += w
         if delta:
             sums.specular[sheet, channel] += w
         else:
             sums.cells[sheet, cell, channel] += w
-            if fine >= 0:
-                sums.cells[sheet, fine, channel] += w
     if not delta:
         sums.cells[sheet, cell, channels] += 1.0
-        if fine >= 0:
-            sums.cells[sheet, fine, channels] += 1.0
 
 
 @kernel(allocates=False)
