@@ -26,7 +26,8 @@ def summary(table: Table, path: Path) -> dict[str, Any]:
     dict
         Albedo, specular, transmittance and their errors are nested [theta_i][channel]; ledger in units of
         incident energy, mean over channels. Under "parts", by name, each part's albedo, its error, specular
-        and "parts" of its own. What a table does not know is None.
+        and "parts" of its own; under "peak" the shape and largest slope of a highlight's own cells. What a
+        table does not know is None.
     """
     provenance = dict(table.provenance)
     names = (
@@ -42,6 +43,9 @@ def summary(table: Table, path: Path) -> dict[str, Any]:
         "theta_i_deg": np.degrees(table.theta_i).tolist(),
         "theta_i_are_cells": table.theta_i_edges is not None,
         "channels": list(table.channels),
+        "peak": None
+        if table.peak is None
+        else {"shape": list(table.peak.values.shape), "slope": table.peak.extent},
         "wavelengths_nm": table.wavelengths_nm,
         **_rows(table),
         "transmittance": (dark if transmission is None else transmission.row_albedo).tolist(),
@@ -68,6 +72,11 @@ def summary_text(data: Mapping[str, Any]) -> str:
     if part := data["provenance"].get("part"):
         lines.append(f"part          {part}")
     lines.append(f"channels      {', '.join(data['channels'])}")
+    if peak := data["peak"]:
+        lines.append(
+            f"highlight     {' x '.join(map(str, peak['shape']))} cells of its own, half-vector slopes up to "
+            f"{peak['slope']:.3g}"
+        )
     if data["estimator"]:
         lines.append(
             f"traced        {data['ledger']['paths'] / 1e6:.1f} M paths, {data['batches']} batches, "

@@ -26,6 +26,7 @@ FORMATS: dict[str, tuple[str, ...]] = {
     ".h5": ("hdf5",),
     ".binary": ("merl",),
     ".bsdf": ("rgl", "zemax", "lighttools"),
+    ".txt": ("lighttools", "zemax"),
     ".xml": ("radiance_xml",),
     ".csv": ("csv", "plane_csv"),
     ".npz": ("npz",),
@@ -36,7 +37,8 @@ FORMATS: dict[str, tuple[str, ...]] = {
 }
 """Suffix to modules; the first is written, and read unless the content says otherwise (`_by_content`)."""
 
-_TEXT = ("zemax", "lighttools")
+_READINGS = b"Data file type :"
+"""Of the log that a Reflet goniometer keeps in a text file."""
 
 
 @dataclass(frozen=True)
@@ -186,6 +188,11 @@ def _by_content(path: Path, names: tuple[str, ...]) -> str:
         return "plane_csv" if start.lstrip().lower().startswith(b"incident_angle") else "csv"
     if start.startswith(b"tensor_file\0"):
         return "rgl"
+    if _READINGS in start:
+        raise InputError(
+            f"{path}: the log of a Reflet goniometer, whose numbers are readings of its detector and no BSDF; "
+            "export the measurement from the instrument's program, to LightTools, Zemax or ASTM"
+        )
     # comments may stand in front; LightTools alone has an angle of incidence in each block
     return "lighttools" if any(line.lstrip().startswith(b"AOI") for line in start.splitlines()) else "zemax"
 

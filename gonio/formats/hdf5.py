@@ -1,4 +1,4 @@
-"""The table's own format: HDF5 with dimension scales, version 1.1.
+"""The table's own format: HDF5 with dimension scales, version 1.2.
 
 Root attributes: ``format`` = "gonio-table", ``version``, ``conventions`` (angles and units in words), and
 ``ledger`` and ``provenance`` as JSON. Datasets carry the field names of `Table`, their ``units``, and a
@@ -7,10 +7,10 @@ dimension scale on every axis, so that xarray opens the file with its coordinate
 
 A table whose values are compressed has, in place of ``values``, a group ``compressed`` that
 `gonio.table.compress` decodes. The table's parts are groups ``parts/<name>`` of the same schema, each with
-its own scales, so that xarray opens a group like the file. Readers accept any minor version of their own
-major version.
+its own scales, so that xarray opens a group like the file. A highlight on a grid of its own is the group
+``peak`` (see `gonio.table.peak`). Readers accept any minor version of their own major version.
 
-Version 1.1 added parts.
+Version 1.1 added parts, version 1.2 the peak.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ from numpy.typing import NDArray
 from gonio.files import atomic
 from gonio.formats.hdf5_content import write_content
 from gonio.formats.hdf5_heaps import check_heaps
+from gonio.table.peak import Peak
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
 FORMAT = "gonio-table"
-VERSION = "1.1"
+VERSION = "1.2"
 _CONVENTIONS = (
     "values are BRDF f_r in 1/sr without cosine, averaged over cells in projected solid angle; theta_i and "
     "theta_r are polar angles of the outward directions to light and detector; delta_phi = |phi_i - phi_r| "
@@ -62,6 +63,8 @@ _DATA: dict[str, tuple[tuple[str, ...], str]] = {
     "wavelengths_nm": (("channel",), "nm"),
 }
 _OPTIONAL = {"theta_i_edges", "std_error", "hits", "gaps", "wavelengths_nm"}
+_PEAK_SCALES = {"theta_i": "rad", "slope": "1", "psi": "rad", "slope_edges": "1", "psi_edges": "rad"}
+_PEAK_AXES = ("theta_i", "slope", "psi", "channel")
 # Deflate cannot shrink more than this; a dataset that claims more is damaged or hostile.
 _MAX_RATIO = 1100
 _LARGEST = 2**30  # bytes of an array from a codec that can shrink without limit
@@ -150,12 +153,44 @@ def _write(group: h5py.Group, table: Table, compressed: Compressed | None, path:
         if data is None or (name == "values" and content is not None):
             continue
         _write_data(group, name, np.asarray(data), axes, unit)
+    if table.peak is not None:
+        _write_peak(group.create_group("peak"), table, table.peak)
     if content is not None:
         write_content(group.create_group("compressed"), content)
     if table.parts:
         parts = group.create_group("parts", track_order=True)
         for name, part in table.parts.items():
             _write(parts.create_group(name), part, compressed, f"{path}/{name}".lstrip("/"))
+
+
+def _write_peak(group: h5py.Group, table: Table, peak: Peak) -> None:
+    middles = {
+        name: 0.5 * (e[1:] + e[:-1]) for name, e in (("slope", peak.slope_edges), ("psi", peak.psi_edges))
+    }
+    scales = {
+        "theta_i": table.theta_i,
+        "slope_edges": peak.slope_edges,
+        "psi_edges": peak.psi_edges,
+        **middles,
+    }
+    for name, unit in _PEAK_SCALES.items():
+        _write_scale(group, name, scales[name], unit)
+    _write_scale(group, "channel", np.array(table.channels, h5py.string_dtype()), "")
+    for name in ("values", "std_error"):
+        if (data := getattr(peak, name)) is not None:
+            _write_data(group, name, data, _PEAK_AXES, "1")
+
+
+def _read_peak(group: h5py.Group, path: Path, where: str) -> Peak:
+    fields = {}
+    for name in ("values", "slope_edges", "psi_edges", "std_error"):
+        if name in group:
+            fields[name] = _read_array(group[name], where + name, path, "fiu")
+        elif name != "std_error":
+            raise InputError(
+                f"{path}: dataset {where}{name} is missing; the file is incomplete, trace it again"
+            )
+    return Peak(**fields)
 
 
 def _write_scale(group: h5py.Group, name: str, data: NDArray, unit: str) -> None:
@@ -235,6 +270,9 @@ def _read(group: h5py.Group, path: Path, where: str = "") -> Table:
             fields["values"] = decode(content, fields)
     if (wavelengths := fields.get("wavelengths_nm")) is not None:
         fields["wavelengths_nm"] = tuple(np.ravel(wavelengths).tolist())
+    if "peak" in group:
+        with _at(where):
+            fields["peak"] = _read_peak(_child(group, "peak", path, where), path, f"{where}peak/")
     if "parts" in group:
         fields["parts"] = _read_parts(_child(group, "parts", path, where), path, f"{where}parts/")
     with _at(where):

@@ -25,6 +25,8 @@ def common_losses(table: Table, name: str, keeps: tuple[str, ...] = ()) -> list[
         losses.append(f"the delta (mirror) term: {name} cannot hold it")
     if table.wavelengths_nm is not None and "wavelengths" not in keeps:
         losses.append(f"wavelengths: {name} has no place for them")
+    if table.peak is not None:
+        losses.append("the fine grid of the highlight: its light is averaged over the table's cells")
     parts = [p for p in table.parts if not (p == "transmission" and "transmission" in keeps)]
     if parts and "parts" not in keeps:
         losses.append(f"the parts {', '.join(parts)}: {name} holds no such tables")

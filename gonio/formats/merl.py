@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from gonio.core.directions import half_difference
 from gonio.files import atomic
+from gonio.formats.colour import check_colour
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -101,12 +102,7 @@ def write(table: Table, path: Path) -> list[str]:
     OSError
         The file cannot be written.
     """
-    n_channels = len(table.channels)
-    if n_channels not in (1, 3):
-        raise InputError(
-            f"{path}: MERL holds R, G and B, the table has {n_channels} channels {table.channels}; "
-            "select or convert to three first"
-        )
+    check_colour(table, path, "a MERL file")
     # A bin is read for light and detector exchanged as well
     write_function(lambda wi, wo: 0.5 * (table.eval(wi, wo) + table.eval(wo, wi)), path)
     return _lost(table)

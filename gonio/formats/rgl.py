@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gonio.core.directions import direction
 from gonio.formats.cells import average_cells, row_centres, table_of, uniform_grid
-from gonio.formats.colour import RGB_TO_XYZ
+from gonio.formats.colour import RGB_TO_XYZ, check_colour
 from gonio.formats.losses import common_losses
 from gonio.formats.rgl_tensors import N_THETA_I, tensors_of, to_unit
 from gonio.formats.tensor_file import read_tensors, write_tensors
@@ -100,12 +100,8 @@ def write(table: Table, path: Path) -> list[str]:
     OSError
         The file cannot be written.
     """
-    n_channels = len(table.channels)
-    if table.wavelengths_nm is None and n_channels not in (1, 3):
-        raise InputError(
-            f"{path}: an RGL file holds R, G and B or wavelengths, the table has {n_channels} channels "
-            f"{table.channels}; select or convert to three first"
-        )
+    if table.wavelengths_nm is None:
+        check_colour(table, path, "an RGL file without wavelengths")
     if table.wavelengths_nm is not None and not np.all(np.diff(table.wavelengths_nm) > 0):
         order = np.argsort(table.wavelengths_nm)
         table = _select(table, order)
@@ -116,7 +112,7 @@ def write(table: Table, path: Path) -> list[str]:
     fields = tensors_of(table)
     write_tensors(path, fields)
     losses = common_losses(table, "RGL", keeps=("wavelengths",))
-    if n_channels == 1 and table.wavelengths_nm is None:
+    if len(table.channels) == 1 and table.wavelengths_nm is None:
         losses.append("nothing of the one channel: it is written as R, G and B")
     losses.append(f"rows of incidence other than {N_THETA_I} from 0 to 90 degrees: they are interpolated")
     return [*losses, "provenance, ledger and the grid of the rows"]

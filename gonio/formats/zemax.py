@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from gonio.core.directions import direction, projected_solid_angles
 from gonio.files import atomic
 from gonio.formats.cells import average_cells, check_size, table_of
-from gonio.formats.colour import RGB_TO_XYZ, XYZ_TO_RGB
+from gonio.formats.colour import RGB_TO_XYZ, XYZ_TO_RGB, check_colour
 from gonio.formats.grid import close_circle, interpolate
 from gonio.formats.losses import common_losses
 from gonio.formats.text import Words, angles
@@ -110,11 +110,7 @@ def write(table: Table, path: Path) -> list[str]:
         The file cannot be written.
     """
     n_channels = len(table.channels)
-    if n_channels not in (1, 3):
-        raise InputError(
-            f"{path}: a Zemax file holds one channel or three, the table has {n_channels} channels "
-            f"{table.channels}; select or convert to three first"
-        )
+    check_colour(table, path, "a Zemax file")
     transmits = str(table.provenance.get("part", "")).endswith(TRANSMISSION)
     names = _CHANNELS["monochrome" if n_channels == 1 else "xyz"]
     lines = [

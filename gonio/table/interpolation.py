@@ -23,7 +23,11 @@ table of cells stays reciprocal between them.
    cumulative sum at the nodes being the blend (1 - t) M_k + t M_(k+1) of those of the two rings that enclose
    u. A fair coin gives the azimuth its sign: half the density for each, and du dphi = 2 cos d omega turns
    f/A into f cos/A. (The scheme is that of Mitsuba's Marginal2D, Dupuy & Jakob 2018, section 4.)
-4. On a segment of width h with end values p, q, the point below which lies the mass h s solves
+4. Where the table has a peak (`gonio.table.peak`), its function of half-vector slopes, interpolated alike with
+   u = (slope/extent)^2 and psi, is added: f = g / (4 cos(theta_o) (wi.h) h_z^3). Near grazing incidence this
+   function may reach directions below the horizon, where the surface sends nothing; that light is reflected at
+   the plane, so no energy is lost. A sample is of table or peak with the probability of their shares.
+5. On a segment of width h with end values p, q, the point below which lies the mass h s solves
    p t + (q - p) t^2/2 = s: t = 2 s / (p + sqrt(p^2 + 2 (q - p) s)), without cancellation.
 """
 
@@ -42,6 +46,7 @@ from gonio.table.pool import (
     N_PHI,
     N_ROWS,
     N_U,
+    PEAK,
     ROWS,
     VALUES,
 )
@@ -115,12 +120,49 @@ def eval_table(pool, t, wi, wo, out):
     out : ndarray, shape (C,)
         Receives f_r in 1/sr per channel; 0 where a direction is below the horizon.
     """
-    n = pool.header[t, N_CHANNELS]
     if wi[2] < 0.0 or wo[2] < 0.0:
-        for c in range(n):
+        for c in range(pool.header[t, N_CHANNELS]):
             out[c] = 0.0
         return
     v, u, phi = _coordinates(wi, wo)
+    _values(pool, t, v, u, phi, None, out)
+    if pool.header[t, PEAK] >= 0:
+        _add_peak(pool, pool.header[t, PEAK], wi, wo, v, out)
+
+
+@kernel(allocates=False)
+def _add_peak(pool, peak, wi, wo, v, out):
+    """Add a peak's values to `out`, shape (C,)."""
+    for side in (1.0, -1.0):
+        u, psi, density = _slopes(pool, peak, wi, wo, side)
+        if density > 0.0:
+            _values(pool, peak, v, u, psi, density, out)
+
+
+@kernel(allocates=False)
+def _slopes(pool, peak, wi, wo, side):
+    """A peak's coordinates u and psi of two directions, and d(u, psi)/d omega_o over 2 cos(theta_o).
+
+    The latter is 0 outside of the peak's grid. `side` = -1: of what the plane turned up, from (x, y, -z).
+    """
+    x, y, z = wi[0] + wo[0], wi[1] + wo[1], wi[2] + side * wo[2]
+    across2 = x * x + y * y
+    extent2 = pool.extent[peak] ** 2
+    if not (across2 < extent2 * z * z and wo[2] > 0.0):
+        return 0.0, 0.0, 0.0
+    length = math.sqrt((wi[0] * wi[0] + wi[1] * wi[1]) * across2)
+    cosine = 1.0
+    if length > 0.0:
+        cosine = (wi[0] * x + wi[1] * y) / length * math.copysign(1.0, z)
+    # |wi + wo| = 2 wi.h
+    density = 0.5 * (across2 + z * z) / (extent2 * wo[2] * abs(z) ** 3)
+    return across2 / (extent2 * z * z), math.acos(min(1.0, max(-1.0, cosine))), density
+
+
+@kernel(inline=True, allocates=False)
+def _values(pool, t, v, u, phi, scale, out):
+    """Put the function of line `t` at a point into `out`, shape (C,); with a `scale`, add so much of it."""
+    n = pool.header[t, N_CHANNELS]
     a, b, w = locate_row(pool, t, v)
     k, x, j, y = _locate_point(pool, t, u, phi)
     w00 = (1.0 - x) * (1.0 - y)
@@ -140,7 +182,11 @@ def eval_table(pool, t, wi, wo, out):
         q = at_b + c
         f_a = w00 * values[p] + w01 * values[p + n] + w10 * values[p + ring] + w11 * values[p + ring + n]
         f_b = w00 * values[q] + w01 * values[q + n] + w10 * values[q + ring] + w11 * values[q + ring + n]
-        out[c] = (1.0 - w) * pool.rows[factor_a + c] * f_a + w * pool.rows[factor_b + c] * f_b
+        f = (1.0 - w) * pool.rows[factor_a + c] * f_a + w * pool.rows[factor_b + c] * f_b
+        if scale is None:
+            out[c] = f
+        else:
+            out[c] += scale * f
 
 
 @kernel(allocates=False)
@@ -168,6 +214,14 @@ def _row_mean(pool, t, row):
 
 
 @kernel(allocates=False)
+def _mean_albedo(pool, t, a, b, w):
+    """Abar between rows; 0 of a peak that does not exist. A peak has its table's rows."""
+    if t < 0:
+        return 0.0
+    return (1.0 - w) * _row_mean(pool, t, a) + w * _row_mean(pool, t, b)
+
+
+@kernel(allocates=False)
 def pdf_table(pool, t, wi, wo):
     """Density per solid angle with which `sample_table` draws `wo`: fbar cos(theta_o) / Abar.
 
@@ -177,16 +231,24 @@ def pdf_table(pool, t, wi, wo):
         return 0.0
     v, u, phi = _coordinates(wi, wo)
     a, b, w = locate_row(pool, t, v)
-    total = (1.0 - w) * _row_mean(pool, t, a) + w * _row_mean(pool, t, b)
+    peak = pool.header[t, PEAK]
+    total = _mean_albedo(pool, t, a, b, w) + _mean_albedo(pool, peak, a, b, w)
     if total <= 0.0:
         return 0.0
     k, x, j, y = _locate_point(pool, t, u, phi)
-    return _mean(pool, t, a, b, w, k, x, j, y) * wo[2] / total
+    value = _mean(pool, t, a, b, w, k, x, j, y)
+    if peak >= 0:
+        for side in (1.0, -1.0):
+            u, psi, density = _slopes(pool, peak, wi, wo, side)
+            if density > 0.0:
+                k, x, j, y = _locate_point(pool, peak, u, psi)
+                value += density * _mean(pool, peak, a, b, w, k, x, j, y)
+    return value * wo[2] / total
 
 
 @kernel(allocates=False)
 def _invert(p, q, s):
-    """Where on a unit segment of linear density from p to q the mass s is reached (equation 4)."""
+    """Where on a unit segment of linear density from p to q the mass s is reached (equation 5)."""
     root = p + math.sqrt(max(0.0, p * p + 2.0 * (q - p) * s))
     if root <= 0.0:
         return 0.0
@@ -260,30 +322,58 @@ def sample_table(pool, t, wi, u0, u1, u2):
     """
     v = min(1.0, wi[0] * wi[0] + wi[1] * wi[1])
     a, b, w = locate_row(pool, t, v)
-    share_a = (1.0 - w) * _row_mean(pool, t, a)
-    total = share_a + w * _row_mean(pool, t, b)
+    peak = pool.header[t, PEAK]
+    own = _mean_albedo(pool, t, a, b, w)
+    total = own + _mean_albedo(pool, peak, a, b, w)
     if wi[2] < 0.0 or total <= 0.0:
         return (0.0, 0.0, 1.0), 0.0
+    ex, ey = 1.0, 0.0
+    if v > 0.0:
+        length = math.sqrt(wi[0] * wi[0] + wi[1] * wi[1])
+        ex, ey = wi[0] / length, wi[1] / length
     u2 *= total
+    if total > own and u2 >= own:
+        wo = _sample_slope(pool, peak, wi, ex, ey, a, b, w, u0, u1, u2 - own)
+        return wo, pdf_table(pool, t, wi, wo)
+    u, cos_phi, sin_phi, mean = _sample_line(pool, t, a, b, w, u0, u1, u2)
+    radius = math.sqrt(min(1.0, u))
+    cos_o = math.sqrt(max(0.0, 1.0 - u))
+    wo = (radius * (cos_phi * ex - sin_phi * ey), radius * (cos_phi * ey + sin_phi * ex), cos_o)
+    if peak >= 0:
+        return wo, pdf_table(pool, t, wi, wo)
+    return wo, mean * cos_o / total
+
+
+@kernel(allocates=False)
+def _sample_slope(pool, peak, wi, ex, ey, a, b, w, u0, u1, u2):
+    """Draw `wo` from a peak; (ex, ey) is the azimuth of `wi`, the rest as in `_sample_line`."""
+    u, cos_psi, sin_psi, _ = _sample_line(pool, peak, a, b, w, u0, u1, u2)
+    slope = pool.extent[peak] * math.sqrt(u)
+    cos_h = 1.0 / math.sqrt(1.0 + slope * slope)
+    sin_h = slope * cos_h
+    h = (sin_h * (cos_psi * ex - sin_psi * ey), sin_h * (cos_psi * ey + sin_psi * ex), cos_h)
+    twice = 2.0 * (wi[0] * h[0] + wi[1] * h[1] + wi[2] * h[2])
+    return twice * h[0] - wi[0], twice * h[1] - wi[1], abs(twice * h[2] - wi[2])
+
+
+@kernel(allocates=False)
+def _sample_line(pool, t, a, b, w, u0, u1, u2):
+    """Draw a point of line `t`, between rows a and b, in proportion to its mean; `u2` is uniform in [0, its Abar).
+
+    Returns u, cosine and sine of the azimuth, and the channel mean there.
+    """
+    share_a = (1.0 - w) * _row_mean(pool, t, a)
+    share_b = w * _row_mean(pool, t, b)
     row = a
     left = u2 / share_a if share_a > 0.0 else 0.0
-    if u2 >= share_a and w > 0.0:
+    if u2 >= share_a and share_b > 0.0:
         row = b
-        left = (u2 - share_a) / (total - share_a)
+        left = (u2 - share_a) / share_b
     k, x = _sample_u(pool, t, row, u0)
     j, y = _sample_phi(pool, t, row, k, x, u1)
-    # From the located point to the direction
     axis = pool.header[t, AXES] + pool.header[t, N_ROWS]
     u = (1.0 - x) * pool.axes[axis + k] + x * pool.axes[axis + k + 1]
     axis += pool.header[t, N_U]
     phi = (1.0 - y) * pool.axes[axis + j] + y * pool.axes[axis + j + 1]
     sin_phi = math.sin(phi) if left < 0.5 else -math.sin(phi)
-    cos_phi = math.cos(phi)
-    radius = math.sqrt(min(1.0, u))
-    cos_o = math.sqrt(max(0.0, 1.0 - u))
-    ex, ey = 1.0, 0.0
-    if v > 0.0:
-        length = math.sqrt(wi[0] * wi[0] + wi[1] * wi[1])
-        ex, ey = wi[0] / length, wi[1] / length
-    wo = (radius * (cos_phi * ex - sin_phi * ey), radius * (cos_phi * ey + sin_phi * ex), cos_o)
-    return wo, _mean(pool, t, a, b, w, k, x, j, y) * cos_o / total
+    return u, math.cos(phi), sin_phi, _mean(pool, t, a, b, w, k, x, j, y)

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.table.peak import reached
+
 if TYPE_CHECKING:
     from gonio.table.table import Table
 
@@ -19,16 +21,21 @@ N_BUCKETS = 512
 """Uniform buckets per axis: from a coordinate to the few nodes that can enclose it, in one load."""
 
 # Columns of Pool.header
-N_ROWS, N_U, N_PHI, N_CHANNELS, VALUES, MEAN, AXES, BUCKETS, ROWS, MARGINAL, N_HEADER = range(11)
+N_ROWS, N_U, N_PHI, N_CHANNELS, PEAK, VALUES, MEAN, AXES, BUCKETS, ROWS, MARGINAL, N_HEADER = range(12)
 
 
 class Pool(NamedTuple):
     """Tables as flat arrays; which part belongs to which table stands in `header`.
 
+    A table's peak (`gonio.table.peak`) is laid out as a table of its own behind all others: g times the square
+    of its extent over u = (slope/extent)^2 and psi, which integrates over du dpsi to the energy as f does over
+    du dphi.
+
     Parameters
     ----------
-    header : ndarray of int64, shape (tables, N_HEADER)
-        Sizes (rows, nodes in u, nodes in phi, channels) and the first index into each array below.
+    header : ndarray of int64, shape (tables and peaks, N_HEADER)
+        Sizes (rows, nodes in u, nodes in phi, channels), which line is the table's peak (-1: it has none), and
+        the first index into each array below.
     values : ndarray of float32
         Node values, (row, u, phi, channel), each row and channel divided by its maximum.
     mean : ndarray of float32
@@ -42,6 +49,8 @@ class Pool(NamedTuple):
         delta term, and the delta term.
     marginal : ndarray of float64
         (row, u, 2): fbar integrated over phi, and the cumulative integral of that over u.
+    extent : ndarray of float64, shape (tables and peaks,)
+        Of a peak, its largest slope.
     """
 
     header: NDArray[np.int64]
@@ -51,6 +60,7 @@ class Pool(NamedTuple):
     buckets: NDArray[np.int32]
     rows: NDArray[np.float64]
     marginal: NDArray[np.float64]
+    extent: NDArray[np.float64]
 
 
 def pool_tables(tables: Sequence[Table]) -> Pool:
@@ -66,10 +76,17 @@ def pool_tables(tables: Sequence[Table]) -> Pool:
     Pool
         About 4 bytes x (channels + 2) per cell.
     """
-    parts = [_layout(table) for table in tables]
+    split = [_split(table) for table in tables]
+    peaks = [(t, table.peak) for t, table in enumerate(tables) if table.peak is not None]
+    functions = [own for own, _ in split] + [above for _, above in split if above is not None]
+    parts = [_layout(function) for function in functions]
     header = np.zeros((len(parts), N_HEADER), np.int64)
+    header[:, PEAK] = -1
+    for line, (t, _) in enumerate(peaks, len(tables)):
+        header[t, PEAK] = line
+    extent = np.array([1.0] * len(tables) + [peak.extent for _, peak in peaks])
     for t, (sizes, _) in enumerate(parts):
-        header[t, :VALUES] = sizes
+        header[t, :PEAK] = sizes
         if t > 0:
             header[t, VALUES:] = header[t - 1, VALUES:] + [a.size for a in parts[t - 1][1]]
     dtypes = (np.float32, np.float32, np.float64, np.int32, np.float64, np.float64)
@@ -77,29 +94,89 @@ def pool_tables(tables: Sequence[Table]) -> Pool:
         np.concatenate([arrays[n].ravel() for _, arrays in parts] or [np.zeros(0, dtype)])
         for n, dtype in enumerate(dtypes)
     ]
-    return Pool(header, *flat)
+    values, mean, axes, buckets, rows, marginal = flat
+    return Pool(header, values, mean, axes, buckets, rows, marginal, extent)
 
 
-def _layout(table: Table) -> tuple[tuple[int, int, int, int], list[NDArray]]:
-    """Sizes and arrays of one table, in the order of the Pool's fields."""
+class _Function(NamedTuple):
+    """What is laid out: a table's light without its peak, or a peak."""
+
+    table: Table
+    """Whose rows it has."""
+    values: NDArray[np.float64]
+    """(I, R, P, C)"""
+    u_edges: NDArray[np.float64]
+    """From 0 to 1."""
+    phi_edges: NDArray[np.float64]
+    energy: NDArray[np.float64]
+    """(I, C) what each row is to integrate to."""
+    specular: NDArray[np.float64]
+    """(I, C)"""
+    peaked: bool = False
+    """Highest at the pole, where its slope over u does not end."""
+
+
+def _split(table: Table) -> tuple[_Function, _Function | None]:
+    """A table's light on its own grid, and on that of its peak.
+
+    The peak is what stands above the level of f at the rim of its disc of slopes; the table's own cells in that
+    disc are cut down to this level, so that their sum is continuous at the rim. Where the disc ends is then as
+    good as anywhere in the smooth light, and the energy of what was cut is the peak's, which is known by itself.
+    In rows near the horizon the disc ends before it: f = g/cos(theta_o) knows no finite value there.
+    """
     u_edges = np.sin(table.theta_r_edges) ** 2
+    energy = table.row_albedo - table.specular
+    peak = table.peak
+    if peak is None:
+        own = _Function(table, table.values, u_edges, table.delta_phi_edges, energy, table.specular)
+        return own, None
+    values, above = table.values.copy(), np.zeros_like(peak.values)
+    edges = table.theta_i_edges
+    low, high = (table.theta_i, table.theta_i) if edges is None else (edges[:-1], edges[1:])
+    # up to its middle, the next row has a share in what this one sends
+    horizon = np.tan(0.25 * np.pi - 0.5 * np.append(table.theta_i[1:], high[-1]))
+    for row, theta_i in enumerate(table.theta_i):
+        rings = peak.rings_within(horizon[row])
+        if rings == 0:
+            continue
+        areas = peak.projected_solid_angles(theta_i)
+        light = peak.values[row] * peak.areas[..., None]
+        rim = np.maximum(light[rings - 1].sum(axis=0), 0.0) / areas[rings - 1].sum()
+        above[row, :rings] = np.maximum(peak.values[row] - rim * (areas / peak.areas)[..., None], 0.0)[:rings]
+        inside = reached(
+            (low[row], high[row]), table.theta_r_edges, table.delta_phi_edges, float(peak.slope_edges[rings])
+        )
+        values[row, inside] = np.minimum(values[row, inside], rim)
+    taken = np.minimum(np.einsum("isqc,sq->ic", above, peak.areas), energy)
+    own = _Function(table, values, u_edges, table.delta_phi_edges, energy - taken, table.specular)
+    u_edges = (peak.slope_edges / peak.extent) ** 2
+    return own, _Function(table, above, u_edges, peak.psi_edges, taken, np.zeros_like(taken), True)
+
+
+def _layout(function: _Function) -> tuple[tuple[int, int, int, int], list[NDArray]]:
+    """Sizes and arrays of one function, in the order of the Pool's fields."""
+    table, u_edges, phi_edges = function.table, function.u_edges, function.phi_edges
     u = np.concatenate([[0.0], 0.5 * (u_edges[1:] + u_edges[:-1]), [1.0]])
-    phi = np.concatenate([[0.0], table.delta_phi, [np.pi]])
+    phi = np.concatenate([[0.0], 0.5 * (phi_edges[1:] + phi_edges[:-1]), [np.pi]])
     u_i, sources, average = _row_nodes(table)
     weight_u, weight_phi = trapezoid_weights(u), trapezoid_weights(phi)
-    n_rows, n_channels = len(u_i), table.values.shape[3]
+    n_rows, n_channels = len(u_i), function.values.shape[3]
     values = np.empty((n_rows, len(u), len(phi), n_channels), np.float32)
     mean = np.empty((n_rows, len(u), len(phi), 2), np.float32)
     rows = np.empty((n_rows, 1 + 3 * n_channels))
     marginal = np.empty((n_rows, len(u), 2))
     for row, source in enumerate(sources):
-        nodes = extend_row(table.values[source], weight_phi)
+        nodes = extend_row(function.values[source], weight_phi)
+        if function.peaked:
+            # a straight line on to the pole: half a cell more of a Gaussian's slope
+            line = (1.0 + u[1] / (u[2] - u[1])) * nodes[1] - u[1] / (u[2] - u[1]) * nodes[2]
+            nodes[0] = np.maximum(weight_phi @ line, 0.0) / np.pi
         if average[row]:
             nodes[:] = (np.einsum("p,upc->uc", weight_phi, nodes) / np.pi)[:, None]
         # float32 halves the memory traffic; what rounding takes from the integral, the factor gives back
         values[row] = nodes / np.maximum(nodes.max(axis=(0, 1)), np.finfo(float).tiny)
         integral = np.einsum("u,p,upc->c", weight_u, weight_phi, values[row].astype(float))
-        target = np.maximum(table.row_albedo[source] - table.specular[source], 0.0)
+        target = np.maximum(function.energy[source], 0.0)
         factor = np.divide(target, integral, out=np.zeros(n_channels), where=integral > 0)
         mean[row, :, :, 0] = values[row] @ (factor / n_channels)
         fbar = mean[row, :, :, 0].astype(float)
@@ -108,7 +185,7 @@ def _layout(table: Table) -> tuple[tuple[int, int, int, int], list[NDArray]]:
         marginal[row, :, 0] = fbar @ weight_phi
         marginal[row, :, 1] = _cumulative(marginal[row, :, 0], u)
         rows[row, 0] = marginal[row, -1, 1]
-        rows[row, 1:] = np.concatenate([factor, factor * integral, table.specular[source]])
+        rows[row, 1:] = np.concatenate([factor, factor * integral, function.specular[source]])
     buckets = np.concatenate([_buckets(u_i, 1.0), _buckets(u, 1.0), _buckets(phi, np.pi)])
     sizes = (n_rows, len(u), len(phi), n_channels)
     return sizes, [values, mean, np.concatenate([u_i, u, phi]), buckets, rows, marginal]

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from gonio.core.jit import kernel
 from gonio.table.interpolation import locate_row
-from gonio.table.pool import N_CHANNELS, ROWS
+from gonio.table.pool import N_CHANNELS, PEAK, ROWS
 
 
 @kernel(allocates=False)
 def _row_quantity(pool, t, cos_i, column, out):
     n = pool.header[t, N_CHANNELS]
+    peak = pool.header[t, PEAK]
     a, b, w = locate_row(pool, t, 1.0 - cos_i * cos_i)
     first = pool.header[t, ROWS] + 1 + column * n
     for c in range(n):
         at_a = pool.rows[first + a * (1 + 3 * n) + c]
         at_b = pool.rows[first + b * (1 + 3 * n) + c]
         out[c] = (1.0 - w) * at_a + w * at_b if cos_i >= 0.0 else 0.0
+    if peak >= 0 and cos_i >= 0.0:
+        first = pool.header[peak, ROWS] + 1 + column * n
+        for c in range(n):
+            at_a = pool.rows[first + a * (1 + 3 * n) + c]
+            at_b = pool.rows[first + b * (1 + 3 * n) + c]
+            out[c] += (1.0 - w) * at_a + w * at_b
 
 
 @kernel(allocates=False)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gonio.core.directions import projected_solid_angles
 from gonio.table import many
+from gonio.table.peak import Peak
 from gonio.table.pool import Pool, pool_tables
 from microgeometry.errors import InputError
 
@@ -57,6 +58,9 @@ class Table:
         Default zeros.
     wavelengths_nm : tuple of float, optional
         One a channel, where the channels are (or stand for) wavelengths.
+    peak : Peak, optional
+        A highlight too narrow for the cells, on a finer grid about the mirror direction. The cells hold its
+        light too; evaluation and sampling take it from here.
     ledger : mapping of str to float
         Where the energy went: paths, reflected, transmitted, absorbed, killed, lost (in units of
         incident energy, mean over channels), and "absorbed: <what>", whose sum is absorbed.
@@ -89,6 +93,7 @@ class Table:
     specular: Array = field(default_factory=lambda: np.zeros(()))
     specular_std_error: Array = field(default_factory=lambda: np.zeros(()))
     wavelengths_nm: tuple[float, ...] | None = None
+    peak: Peak | None = None
     ledger: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     parts: Mapping[str, Table] = field(default_factory=dict)
@@ -140,6 +145,10 @@ class Table:
                     f"wavelengths_nm: {self.wavelengths_nm}; {channels} positive numbers are expected"
                 )
         self._check_rows()
+        if self.peak is not None and self.peak.values.shape[::3] != (rows, channels):
+            raise InputError(
+                f"peak/values: shape {self.peak.values.shape}; {rows} rows and {channels} channels are expected"
+            )
         object.__setattr__(self, "parts", dict(self.parts))
         self._check_parts()
 
@@ -294,19 +303,11 @@ class Table:
         -------
         ndarray, shape (..., C)
         """
-        albedo, specular = self._row_quantities(theta_i)
-        return albedo + specular
-
-    def directional_specular(self, theta_i: ArrayLike) -> Array:
-        """Reflectance into exactly the mirror direction; as `albedo`."""
-        return self._row_quantities(theta_i)[1]
-
-    def _row_quantities(self, theta_i: ArrayLike) -> tuple[Array, Array]:
         cos_i = np.cos(np.asarray(theta_i, float))
         albedo = np.empty((cos_i.size, len(self.channels)))
         specular = np.empty_like(albedo)
         many.row_quantities_many(self.pool, 0, cos_i.ravel(), albedo, specular)
-        return albedo.reshape(*cos_i.shape, -1), specular.reshape(*cos_i.shape, -1)
+        return (albedo + specular).reshape(*cos_i.shape, -1)
 
 
 def _flat(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:

@@ -47,6 +47,12 @@ class Bins(NamedTuple):
     """Edges of sin^2 theta_r."""
     phi: Axis
     """Edges of -cos(delta phi)."""
+    slope: Axis
+    """Edges of the peak's half-vector slopes, where it has a grid of its own; see `gonio.table.peak`."""
+    psi: Axis
+    """Edges of -cos(psi)."""
+    peak: int
+    """First of the peak's cells, behind the others; -1: it has none."""
     orders: int
     """Numbers of bounces told apart; the last collects all beyond."""
     share: NDArray[np.float64]
@@ -57,7 +63,7 @@ class Sums(NamedTuple):
     """Where a unit of work adds its exits; see `gonio.trace.tally`."""
 
     cells: NDArray[np.float64]
-    """(sheets, R * P, C + 1): the sum of weights in each channel, and the number of paths, of each cell."""
+    """(sheets, R * P + S * Q, C + 1): the sum of weights in each channel, and the number of paths, of each cell."""
     specular: NDArray[np.float64]
     """(sheets, C): energy in exactly the mirror direction, or straight through."""
     energy: NDArray[np.float64]
@@ -142,7 +148,7 @@ def _trace_packets(
         wi, azimuth = _incident(beam, u, v)
         i, j = morton(k)
         start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, batch, path)
-        mirror_x, mirror_y = packet[DIR_X, 0], packet[DIR_Y, 0]
+        mirror_x, mirror_y, mirror_z = packet[DIR_X, 0], packet[DIR_Y, 0], packet[DIR_Z, 0]
         sums.ledger[RAYS] += trace_packet(
             embree, box, horizon, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path,
             weight, polarisation, axis, retreat, bounces, status, absorbed,
@@ -157,6 +163,9 @@ def _trace_packets(
                 to_channels, bins, sums, packet[HIT_U, lane], packet[HIT_V, lane], status[lane], bounces[lane],
                 delta, False, weight[lane],
             )  # fmt: skip
+            if bins.peak >= 0 and status[lane] == REFLECTED and not delta:
+                half = x - mirror_x, y - mirror_y, packet[DIR_Z, lane] - mirror_z
+                _count_peak(to_channels, bins, sums, half, azimuth, bounces[lane], weight[lane])
     for sample in range(absorbed.shape[0]):
         sums.ledger[ABSORBED_COLUMN] += bins.share[sample] * absorbed[sample]
 
@@ -229,6 +238,9 @@ def _trace_paths(
             sin2, cosine = _coordinates(wo[0], wo[1], wo[2], azimuth)
             joined = joined and status == REFLECTED
             _count(to_channels, bins, sums, sin2, cosine, status, bounces, straight, joined, weight)
+            if bins.peak >= 0 and status == REFLECTED and not straight:
+                half = wi[0] + wo[0], wi[1] + wo[1], wi[2] + wo[2]
+                _count_peak(to_channels, bins, sums, half, azimuth, bounces, weight)
     for column in range(absorbed.shape[0]):
         sums.ledger[LEDGER_COLUMNS + column] += absorbed[column]
         sums.ledger[ABSORBED_COLUMN] += absorbed[column]
@@ -294,6 +306,34 @@ def _exit(packet, azimuth):
         packet[HIT_V, lane] = cosine
 
 
+@kernel(allocates=False)
+def _count_peak(to_channels, bins, sums, half, azimuth, bounces, weight):
+    """Add a reflected path to the peak's cell that wi + wo = `half` falls in, if any."""
+    x, y, z = half
+    across = math.sqrt(x * x + y * y)
+    if not across < bins.slope.edges[-1] * z:
+        return
+    cosine = (azimuth[0] * x + azimuth[1] * y) / across if across > 0.0 else 1.0
+    sectors = bins.psi.edges.shape[0] - 1
+    cell = bins.peak + find(bins.slope, across / z) * sectors + find(bins.psi, -cosine)
+    sheet = max(0, min(bounces, bins.orders) - 1)
+    channels = sums.energy.shape[1]
+    for channel in range(channels):
+        sums.cells[sheet, cell, channel] += _in_channel(to_channels, channel, weight)
+    sums.cells[sheet, cell, channels] += 1.0
+
+
+@kernel(inline=True, allocates=False)
+def _in_channel(to_channels, channel, weight):
+    """What the energies of the samples are in a channel of the table."""
+    if to_channels is None:
+        return weight[channel]
+    w = 0.0
+    for s in range(weight.shape[0]):
+        w += to_channels[channel, s] * weight[s]
+    return w
+
+
 @kernel(inline=True, allocates=False)
 def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, joined, weight):
     """Add what is left of one path (`weight`, shape (S,)) to where it ended, from `_coordinates`.
@@ -316,12 +356,7 @@ def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, joined
     cell = ring * sectors + find(bins.phi, -cosine)
     channels = sums.energy.shape[1]
     for channel in range(channels):
-        if to_channels is None:
-            w = weight[channel]
-        else:
-            w = 0.0
-            for s in range(weight.shape[0]):
-                w += to_channels[channel, s] * weight[s]
+        w = _in_channel(to_channels, channel, weight)
         sums.energy[sheet, channel] += w
         if delta:
             sums.specular[sheet, channel] += w

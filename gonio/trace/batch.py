@@ -16,6 +16,7 @@ from gonio.trace.estimators import ANALOG, HALF_VECTOR, NEXT_EVENT, roughness
 from gonio.trace.facets import measure_facets
 from gonio.trace.half_vector import HalfVector
 from gonio.trace.next_event import LambertLooks
+from gonio.trace.peak_grid import peak_grid
 from gonio.trace.remainder import block_size
 from gonio.trace.stack_looks import LOOKS
 from gonio.trace.tally import Tally, new_accumulators
@@ -69,6 +70,8 @@ class BatchTracer:
         Projected solid angles of the table's cells, sr.
     bin_theta_edges, bin_phi_edges, bin_areas : ndarray
         The same of the cells that paths are binned in: larger ones, where they carry smooth light only.
+    peak : PeakGrid or None
+        Where the highlight has a grid of its own, whose cells follow the others in each row.
     alpha : float or None
         Roughness, where facets are measured for the half-vector estimator.
     looks : LambertLooks or None
@@ -107,9 +110,14 @@ class BatchTracer:
             self.phi_edges[:: merged[1]],
         )
         self.bin_areas = projected_solid_angles(self.bin_theta_edges, self.bin_phi_edges)
+        self.peak = peak_grid(job.specimen, self.tracer) if job.estimator == ANALOG else None
+        slope_edges, psi_edges = self.peak or (np.array([0.0, 1.0]), np.array([0.0, np.pi]))
         self._bins = Bins(
             axis(np.sin(self.bin_theta_edges) ** 2),
             axis(-np.cos(self.bin_phi_edges)),
+            axis(slope_edges),
+            axis(-np.cos(psi_edges)),
+            self.bin_areas.size if self.peak else -1,
             self._orders,
             self.tracer.stack.share,
         )
@@ -151,7 +159,8 @@ class BatchTracer:
         """Rows, cells, channels and chunks."""
         rows = len(self.theta_i)
         channels = len(self.job.specimen.grid.channels)
-        return rows, self.bin_areas.size, channels, max(1, -(-_UNITS // rows))
+        cells = self.bin_areas.size + (self.peak.areas.size if self.peak else 0)
+        return rows, cells, channels, max(1, -(-_UNITS // rows))
 
     def trace(
         self, batch: int, passes: NDArray[np.int64], accumulators: tuple[Array, ...], threads: int

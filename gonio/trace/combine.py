@@ -40,11 +40,11 @@ class Combined:
         self._values, self._std_error = values, std_error
         self._counted = counted
 
-    def cells(self, projected_solid_angles: Array) -> tuple[Array, Array]:
+    def cells(self, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
         """As `SheetTally.cells`, of the table's cells only."""
         return self._values, self._std_error
 
-    def row_cells(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
+    def row_cells(self, row: int, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
         """As `SheetTally.row_cells`, of the table's cells only."""
         return self._values[row], self._std_error[row]
 

@@ -26,8 +26,8 @@ NEXT_EVENT = "next-event"
 """Light is joined to detectors wherever it meets a facet or medium that scatters: `gonio.trace.next_event`."""
 ESTIMATORS = ANALOG, HALF_VECTOR, NEXT_EVENT
 
-LEAST_ALPHA = 0.03
-"""Below, the distribution of tilts is too steep for the bins of tilt and the points of a 1-degree cell."""
+LEAST_ALPHA = 0.04
+"""Of half vectors. Below, a highlight is narrow for cells of one degree: see `gonio.trace.peak_grid`."""
 
 _MOST_PEAKED = 4.0
 """In the direction in which most light is scattered, against the mean: what joins it to detectors drawn evenly

@@ -199,7 +199,8 @@ class Measurement:
 
     def judge(self) -> Verdict:
         """How well it is known."""
-        return judge(self.light()[0], self.tally.rows, self.batches.areas)
+        peak = None if self.batches.peak is None else self.batches.peak.areas
+        return judge(self.light()[0], self.tally.rows, self.batches.areas, peak)
 
     def state(self) -> dict[str, NDArray]:
         """Everything learned so far, as arrays by name."""

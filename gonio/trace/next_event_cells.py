@@ -38,14 +38,14 @@ class JoinedSheet:
         self._even = even
         self._orders = orders
 
-    def cells(self, projected_solid_angles: Array) -> tuple[Array, Array]:
-        """As `SheetTally.cells`."""
+    def cells(self, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
+        """As `SheetTally.cells`, of the table's cells only."""
         rows = [self.row_cells(row, projected_solid_angles) for row in range(len(self._sheet.hits))]
         values, std_error = zip(*rows, strict=True)
         return np.stack(values), np.stack(std_error)
 
-    def row_cells(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
-        """As `SheetTally.row_cells`."""
+    def row_cells(self, row: int, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
+        """As `SheetTally.row_cells`, of the table's cells only."""
         omega = projected_solid_angles[:, :, None]
         if self._even:
             mean, _ = self._sheet.row_moments(row, projected_solid_angles.shape)

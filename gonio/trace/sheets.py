@@ -11,6 +11,7 @@ paths): with one more batch, V becomes (T^2 V + variance of the batch) / (T + 1)
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
@@ -73,11 +74,11 @@ class Sheet(Protocol):
         """Paths that ended in each cell, shape (rows, cells); None where cells do not rest on paths."""
         ...
 
-    def cells(self, projected_solid_angles: Array) -> tuple[Array, Array]:
+    def cells(self, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
         """As `SheetTally.cells`."""
         ...
 
-    def row_cells(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
+    def row_cells(self, row: int, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
         """As `SheetTally.row_cells`."""
         ...
 
@@ -186,24 +187,26 @@ class SheetTally:
             self._sum_square[row] += delta * (total - self._sum_mean[row])
             self._joint[row] += delta * (values - self._mean[row])
 
-    def cells(self, projected_solid_angles: Array) -> tuple[Array, Array]:
+    def cells(self, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
         """Mean BRDF of every cell and its standard error, 1/sr, shape (rows, rings, sectors, channels) each.
 
         Parameters
         ----------
         projected_solid_angles : ndarray, shape (rings, sectors)
-            In sr.
+            In sr; or whatever else the energy is to be per.
+        first : int
+            The cell of a row that these begin with.
         """
         shape = (len(self._mean), *projected_solid_angles.shape, self._mean.shape[2])
         values, std_error = np.empty(shape), np.empty(shape)
         for row in range(shape[0]):
-            values[row], std_error[row] = self.row_cells(row, projected_solid_angles)
+            values[row], std_error[row] = self.row_cells(row, projected_solid_angles, first)
         return values, std_error
 
-    def row_cells(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
+    def row_cells(self, row: int, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
         """One row of `cells`; how errors are found is said in `gonio.trace.error_bars`."""
         omega = projected_solid_angles[:, :, None]
-        mean, variance, hits = self._row(row, projected_solid_angles.shape)
+        mean, variance, hits = self._row(row, projected_solid_angles.shape, first)
         std_error = cell_errors(mean, variance, hits, projected_solid_angles, self._counts.paths[row])
         return mean / omega, std_error / omega
 
@@ -213,15 +216,20 @@ class SheetTally:
         mean, variance, hits = self._row(row, projected_solid_angles.shape)
         return mean / omega, term_errors(mean, variance, hits, projected_solid_angles) / omega
 
-    def _row(self, row: int, shape: tuple[int, ...]) -> tuple[Array, Array, NDArray[np.int64]]:
+    def _row(
+        self, row: int, shape: tuple[int, ...], first: int = 0
+    ) -> tuple[Array, Array, NDArray[np.int64]]:
         """`row_moments`, and the paths in each cell."""
-        return *self.row_moments(row, shape), self.hits[row].reshape(shape)
+        hits = self.hits[row, first : first + math.prod(shape)].reshape(shape)
+        return *self.row_moments(row, shape, first), hits
 
-    def row_moments(self, row: int, shape: tuple[int, ...]) -> tuple[Array, Array]:
-        """Mean energy in the cells of a row, and the variance of that mean; of `shape` and the channels."""
+    def row_moments(self, row: int, shape: tuple[int, ...], first: int = 0) -> tuple[Array, Array]:
+        """Mean energy in the cells of a row from `first` on, and the variance of that mean; of `shape` and channels."""
         weight = self._counts.weight[row]
-        mean = self._mean[row].reshape(*shape, -1)
-        return mean, self._square[row].reshape(mean.shape) / (max(weight - 1.0, 1.0) * max(weight, 1.0))
+        mine = slice(first, first + math.prod(shape))
+        mean = self._mean[row, mine].reshape(*shape, -1)
+        variance = self._square[row, mine].reshape(mean.shape) / (max(weight - 1.0, 1.0) * max(weight, 1.0))
+        return mean, variance
 
     def row_relative_variance(self, row: int, shape: tuple[int, ...]) -> Array:
         """Variance of the mean energies in the cells of a row, as if each batch were scaled by the sum over all cells.

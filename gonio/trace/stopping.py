@@ -103,7 +103,9 @@ class Verdict:
         return words
 
 
-def judge(totals: Sequence[Sheet], rows: RowCounts, projected_solid_angles: Array) -> Verdict:
+def judge(
+    totals: Sequence[Sheet], rows: RowCounts, projected_solid_angles: Array, peak: Array | None = None
+) -> Verdict:
     """How well the light that left is known so far.
 
     Parameters
@@ -113,7 +115,12 @@ def judge(totals: Sequence[Sheet], rows: RowCounts, projected_solid_angles: Arra
     rows : RowCounts
     projected_solid_angles : ndarray, shape (rings, sectors)
         Of the cells, in sr.
+    peak : ndarray, shape (S, Q), optional
+        Areas of the peak's cells, which follow the others and are judged with them: they hold the same light.
     """
+    grids = [(projected_solid_angles, 0)]
+    if peak is not None:
+        grids.append((peak, projected_solid_angles.size))
     energies = [sheet.energies() for sheet in totals]
     energy = np.stack([e[0] for e in energies])  # (hemispheres, rows, channels)
     error = np.stack([e[1] for e in energies])
@@ -127,7 +134,7 @@ def judge(totals: Sequence[Sheet], rows: RowCounts, projected_solid_angles: Arra
         total = energy[:, row].sum(axis=0)
         channels = np.flatnonzero(np.abs(total) > (1.0 - _ENERGY) * bright[row])
         if len(channels):
-            cells[row] = _cells_error(totals, row, projected_solid_angles, total, specular[row], channels)
+            cells[row] = _cells_error(totals, row, grids, total, specular[row], channels)
     vov = np.max([sheet.variance_of_variance() for sheet in totals], axis=0)
     return Verdict(albedo, cells, np.where(bright > 0, vov, 0.0), rows.batches.copy())
 
@@ -135,16 +142,19 @@ def judge(totals: Sequence[Sheet], rows: RowCounts, projected_solid_angles: Arra
 def _cells_error(
     sheets: Sequence[Sheet],
     row: int,
-    areas: Array,
+    grids: Sequence[tuple[Array, int]],
     total: Array,
     specular: Array,
     channels: NDArray[np.intp],
 ) -> float:
     """95th percentile of the relative errors of a row's cells that hold its light, worst of the channels."""
-    found = [sheet.row_cells(row, areas) for sheet in sheets]
-    weight = areas[None, :, :, None]
-    light = np.reshape(np.abs([values for values, _ in found]) * weight, (-1, len(total)))
-    error = np.reshape([std_error for _, std_error in found] * weight, (-1, len(total)))
+    found = [
+        [np.reshape(a * areas[..., None], (-1, len(total))) for a in sheet.row_cells(row, areas, first)]
+        for sheet in sheets
+        for areas, first in grids
+    ]
+    light, error = (np.concatenate(column) for column in zip(*found, strict=True))
+    light = np.abs(light)
     worst = 0.0
     for channel in channels:
         order = np.argsort(-light[:, channel], kind="stable")

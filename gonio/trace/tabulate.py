@@ -9,7 +9,9 @@ import numpy as np
 
 from gonio.table.checks import relative_noise
 from gonio.table.parts import TRANSMISSION, order_names
+from gonio.table.peak import Peak
 from gonio.table.table import Table
+from gonio.trace.batch import BatchTracer
 from gonio.trace.sheets import Sheet
 from microgeometry.specimen import Specimen
 
@@ -28,14 +30,16 @@ def tabulate(measurement: Measurement) -> Table:
     """The table of a measurement's batches so far, at least one."""
     grid, tally = measurement.specimen.grid, measurement.tally
     ledger = {n: energy for n, energy in tally.ledger.items() if n not in measurement.tracer.empty_columns}
-    hemispheres = []
+    hemispheres: list[tuple[Sheet, dict[str, Table]]] = []
     for total, orders in zip(*measurement.light(), strict=True):
         names = order_names(grid.orders)
-        parts = {name: _sheet(measurement, sheet) for name, sheet in zip(names, orders, strict=True)}
+        peaks = not hemispheres  # what is transmitted has none
+        parts = {name: _sheet(measurement, sheet, peaks) for name, sheet in zip(names, orders, strict=True)}
         hemispheres.append((total, parts))
-    transmission = {TRANSMISSION: _sheet(measurement, *hemispheres[1])} if len(hemispheres) > 1 else {}
-    total, parts = hemispheres[0]
-    table = _sheet(measurement, total, {**transmission, **parts}, ledger)
+    (total, parts), *below = hemispheres
+    if below:
+        parts = {TRANSMISSION: _sheet(measurement, below[0][0], False, below[0][1]), **parts}
+    table = _sheet(measurement, total, True, parts, ledger)
     variance = float(np.median(relative_noise(table))) ** 2
     merit = 1.0 / (variance * measurement.seconds) if variance > 0 else None
     return table.replace(provenance={**_provenance(measurement), "figure_of_merit": merit})
@@ -44,6 +48,7 @@ def tabulate(measurement: Measurement) -> Table:
 def _sheet(
     measurement: Measurement,
     sheet: Sheet,
+    peaks: bool,
     parts: dict[str, Table] | None = None,
     ledger: dict[str, float] | None = None,
 ) -> Table:
@@ -54,7 +59,7 @@ def _sheet(
     return Table(
         values=values,
         std_error=std_error,
-        hits=None if sheet.hits is None else sheet.hits.reshape(values.shape[:3]),
+        hits=None if sheet.hits is None else sheet.hits[:, : axes.areas.size].reshape(values.shape[:3]),
         theta_i=axes.theta_i,
         theta_i_edges=axes.theta_i_edges,
         theta_r_edges=axes.theta_edges,
@@ -65,9 +70,17 @@ def _sheet(
         albedo_std_error=albedo_error,
         specular=specular,
         specular_std_error=specular_error,
+        peak=_peak(axes, sheet) if peaks else None,
         ledger=ledger or {},
         parts=parts or {},
     )
+
+
+def _peak(axes: BatchTracer, sheet: Sheet) -> Peak | None:
+    if axes.peak is None:
+        return None
+    values, std_error = sheet.cells(axes.peak.areas, axes.areas.size)
+    return Peak(values, *axes.peak, std_error)
 
 
 def _provenance(measurement: Measurement) -> dict[str, Any]:

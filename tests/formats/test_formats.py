@@ -82,3 +82,15 @@ def test_errors_of_the_table_name_the_file(tmp_path):
     path.write_text(path.read_text().replace("1.591549e-01", "1e308"))
     with pytest.raises(InputError, match=f"{path}: (values|row_albedo): contains NaN or infinity"):
         Table.load(path)
+
+
+def test_text_by_content(tmp_path):
+    write_lighttools(tmp_path / "l.txt", tuple(range(0, 361, 30)))
+    write_file(tmp_path / "z.txt", lambert)
+    assert Table.load(tmp_path / "l.txt").provenance["format"] == "LightTools"
+    assert Table.load(tmp_path / "z.txt").provenance["format"] == "Zemax"
+
+
+def test_readings_of_a_goniometer_are_no_bsdf(real_data):
+    with pytest.raises(InputError, match="Reflet goniometer, whose numbers are readings"):
+        Table.load(real_data / "ualoft" / "test_lighttools.txt")

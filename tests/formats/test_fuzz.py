@@ -16,6 +16,7 @@ import pytest
 from gonio.formats import merl, read
 from gonio.formats.tensor_file import write_tensors
 from gonio.table.compress import METHODS, compress
+from gonio.table.peak import Peak
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
 from tests.formats.test_lists import write_astm, write_lighttools, write_openmaterial
@@ -37,7 +38,9 @@ _WORDS = (0, 1, 2, 3, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF)
 
 def small_table():
     table = with_parts(make(asymmetric, grid(2, 2, 3)))
-    return table.replace(std_error=0.1 * table.values, provenance={"seed": 1})
+    values = np.random.default_rng(seed_from("fuzz peak")).random((2, 2, 3, 3))
+    peak = Peak(values, np.array([0, 0.1, 0.2]), np.linspace(0, np.pi, 4), 0.1 * values)
+    return table.replace(std_error=0.1 * table.values, peak=peak, provenance={"seed": 1})
 
 
 def rgl(path):

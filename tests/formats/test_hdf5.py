@@ -14,6 +14,7 @@ from gonio.table.parts import walk
 from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
+from tests.formats.damage import refused
 from tests.table.tables import asymmetric, grid, make, with_parts
 
 
@@ -89,7 +90,7 @@ def test_optional_fields_stay_absent(tmp_path):
 def test_units_axes_and_scales(saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "gonio-table"
-        assert file.attrs["version"] == "1.1"
+        assert file.attrs["version"] == "1.2"
         values = file["values"]
         assert values.attrs["units"] == "1/sr"
         assert values.compression == "gzip"
@@ -166,7 +167,7 @@ DAMAGE = {
     "truncated early": (cut(0.01), "damaged or truncated"),
     "garbled chunk": (overwrite, "dataset std_error is damaged or truncated"),
     "foreign": (lambda p: (p.unlink(), edit_new(p)), "something else .it holds temperature"),
-    "newer": (attribute("version", "2.0"), "version 2.0 is newer than 1.1, update gonio"),
+    "newer": (attribute("version", "2.0"), "version 2.0 is newer than 1.2, update gonio"),
     "no version": (attribute("version", "x"), "attribute version"),
     "no values": (drop("values"), "dataset values is missing"),
     "no channel": (drop("channel"), "dataset channel is missing"),
@@ -224,11 +225,7 @@ def edit_new(path):
 def test_damaged_files(saved, name):
     damage, message = DAMAGE[name]
     damage(saved)
-    with pytest.raises(InputError, match=message) as caught:
-        Table.load(saved)
-    assert str(saved) in str(caught.value)
-    assert str(caught.value).count(str(saved)) == 1
-    assert "\n" not in str(caught.value)
+    refused(saved, message)
 
 
 def test_a_claim_no_file_can_hold(saved):

@@ -16,6 +16,7 @@ from gonio.table.checks import check
 from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
+from tests.formats.damage import refused, refused_after
 from tests.formats.test_hdf5 import assert_same, full_table
 from tests.table.tables import asymmetric, grid, make
 
@@ -131,9 +132,7 @@ def test_damaged_csv(name, tmp_path):
     text, message = CSV_DAMAGE[name]
     path = tmp_path / "bad.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match=message) as caught:
-        Table.load(path)
-    assert str(path) in str(caught.value)
+    refused(path, message)
 
 
 def test_channel_that_is_no_column(tmp_path):
@@ -180,15 +179,12 @@ def test_damaged_npz(name, tmp_path):
     path = tmp_path / "t.npz"
     full_table().save(path)
     rewrite(path, changes)
-    with pytest.raises(InputError, match=message) as caught:
-        Table.load(path)
-    assert str(caught.value).count(str(path)) == 1
+    refused(path, message)
 
 
 def test_no_npz(tmp_path):
     (tmp_path / "t.npz").write_bytes(b"PK\3\4 not really")
-    with pytest.raises(InputError, match="no NPZ file"):
-        Table.load(tmp_path / "t.npz")
+    refused(tmp_path / "t.npz", "no NPZ file")
 
 
 # --- ASTM E1392 ------------------------------------------------------------------------------------------
@@ -235,10 +231,7 @@ ASTM_DAMAGE = {
 @pytest.mark.parametrize("name", ASTM_DAMAGE)
 def test_damaged_astm(name, tmp_path):
     damage, message = ASTM_DAMAGE[name]
-    path = write_astm(tmp_path / "a.astm")
-    path.write_text(damage(path.read_text()))
-    with pytest.raises(InputError, match=message):
-        Table.load(path)
+    refused_after(damage, write_astm(tmp_path / "a.astm"), message)
 
 
 # --- OpenMATERIAL ----------------------------------------------------------------------------------------
@@ -297,15 +290,13 @@ OPENMATERIAL_DAMAGE = {
 @pytest.mark.parametrize("name", OPENMATERIAL_DAMAGE)
 def test_damaged_openmaterial(name, tmp_path):
     change, message = OPENMATERIAL_DAMAGE[name]
-    with pytest.raises(InputError, match=message):
-        Table.load(write_openmaterial(tmp_path / "a.xompt", change=change))
+    refused(write_openmaterial(tmp_path / "a.xompt", change=change), message)
 
 
 def test_openmaterial_that_is_no_json(tmp_path):
     for text in ("{", "[" * 100_000, "\xff"):
         (tmp_path / "a.xompt").write_bytes(text.encode("latin-1"))
-        with pytest.raises(InputError, match="no JSON"):
-            Table.load(tmp_path / "a.xompt")
+        refused(tmp_path / "a.xompt", "no JSON")
 
 
 # --- LightTools ------------------------------------------------------------------------------------------
@@ -376,7 +367,4 @@ LIGHTTOOLS_DAMAGE = {
 @pytest.mark.parametrize("name", LIGHTTOOLS_DAMAGE)
 def test_damaged_lighttools(name, tmp_path):
     damage, message = LIGHTTOOLS_DAMAGE[name]
-    path = write_lighttools(tmp_path / "a.bsdf")
-    path.write_text(damage(path.read_text()))
-    with pytest.raises(InputError, match=message):
-        Table.load(path)
+    refused_after(damage, write_lighttools(tmp_path / "a.bsdf"), message)

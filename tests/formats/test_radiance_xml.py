@@ -22,6 +22,7 @@ from gonio.table.checks import check
 from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
+from tests.formats.damage import refused
 from tests.table.tables import asymmetric, grid, lambert, make, with_parts
 
 HEAD = '<?xml version="1.0"?><WindowElement xmlns="http://windows.lbl.gov"><Optical><Layer><DataDefinition>'
@@ -238,7 +239,4 @@ def test_damaged_files(name, tmp_path):
     text, message = DAMAGE[name]
     path = tmp_path / "bad.xml"
     path.write_text(text)
-    with pytest.raises(InputError, match=message) as caught:
-        Table.load(path)
-    assert str(path) in str(caught.value)
-    assert "\n" not in str(caught.value)
+    refused(path, message)

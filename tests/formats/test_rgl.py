@@ -15,6 +15,7 @@ from gonio.formats.warp import Warp, bilinear
 from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
+from tests.formats.damage import refused
 from tests.formats.mitsuba3 import evaluate, needs_mitsuba
 from tests.table.tables import asymmetric, ggx, grid, lambert, make, with_parts
 
@@ -210,10 +211,7 @@ def change(name, value):
 def test_damaged_fields(fields, damage, message, tmp_path):
     damage(fields)
     write_tensors(tmp_path / "bad.bsdf", fields)
-    with pytest.raises(InputError, match=message) as caught:
-        Table.load(tmp_path / "bad.bsdf")
-    assert str(tmp_path / "bad.bsdf") in str(caught.value)
-    assert "\n" not in str(caught.value)
+    refused(tmp_path / "bad.bsdf", message)
 
 
 @pytest.mark.parametrize(
@@ -229,5 +227,4 @@ def test_damaged_fields(fields, damage, message, tmp_path):
 )
 def test_damaged_containers(content, message, tmp_path):
     (tmp_path / "bad.bsdf").write_bytes(content)
-    with pytest.raises(InputError, match=message):
-        Table.load(tmp_path / "bad.bsdf")
+    refused(tmp_path / "bad.bsdf", message)

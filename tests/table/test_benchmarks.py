@@ -22,7 +22,13 @@ def test_samples_saved(monkeypatch):
     assert min(ratios["sky"]) > 10
     assert np.median(ratios["window"]) > 10
     assert found["largest_weight"] == pytest.approx(1, abs=1e-5)
-    assert len(lines) == 2 + len(ratios)
+    # as good as sampling that does not know the light can be. At 75 degrees a few percent of the light miss the
+    # window, of which 40 000 even samples tell no more
+    for light in ("window", "window aside"):
+        best = found["variance_ratio_at_best"][light]
+        np.testing.assert_allclose(ratios[light][:3], best[:3], rtol=0.1)
+        np.testing.assert_allclose(ratios[light][3], best[3], rtol=0.25)
+    assert len(lines) == 2 + 2 * len(ratios)
 
 
 @pytest.mark.compiled

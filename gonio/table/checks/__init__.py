@@ -211,6 +211,8 @@ def noise_lines(table: Table) -> list[str]:
 def relative_noise(table: Table) -> Array:
     """Median relative standard error per row and channel over the cells that hold 99 % of its energy.
 
+    Where a highlight has cells of its own, they count beside the table's.
+
     Returns
     -------
     ndarray, shape (I, C)
@@ -221,9 +223,15 @@ def relative_noise(table: Table) -> Array:
     n_rows, _, _, n_channels = table.values.shape
     out = np.zeros((n_rows, n_channels))
     areas = table.projected_solid_angles.ravel()
+    fine = table.peak if table.peak is not None and table.peak.std_error is not None else None
+    if fine is not None:
+        areas = np.append(areas, fine.areas)
     for row in range(n_rows):
         values = table.values[row].reshape(-1, n_channels)
         error = table.std_error[row].reshape(-1, n_channels)
+        if fine is not None and fine.std_error is not None:
+            values = np.concatenate([values, fine.values[row].reshape(-1, n_channels)])
+            error = np.concatenate([error, fine.std_error[row].reshape(-1, n_channels)])
         for c in range(n_channels):
             energy = values[:, c] * areas
             order = np.argsort(energy)[::-1]

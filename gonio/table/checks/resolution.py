@@ -24,6 +24,12 @@ _NEAR = 3  # cells from the mirror direction within which a maximum is the highl
 
 def check_resolution(table: Table) -> Check:
     """Where the highlight is narrower than three cells; informs, as such a table is still right in its cells."""
+    if (peak := table.peak) is not None:
+        detail = (
+            f"the highlight has {len(peak.slope_edges) - 1} x {len(peak.psi_edges) - 1} cells of its own, of "
+            f"half-vector slopes up to {peak.extent:.3g}"
+        )
+        return Check("resolution", None, detail, {"narrow_rows": 0}, {"narrow_theta_i_deg": []})
     narrow = narrow_rows(table)
     count = int(np.count_nonzero(narrow))
     rows = {"narrow_theta_i_deg": np.degrees(table.theta_i[narrow]).tolist()}
@@ -34,7 +40,7 @@ def check_resolution(table: Table) -> Check:
         detail = (
             f"the highlight is narrower than {CELLS:g} cells of {step:.3g} deg in {count} of {len(narrow)} rows, "
             f"from theta_i = {np.degrees(table.theta_i[narrow][0]):.4g} deg; between the cells' centres its shape "
-            "is not known: smaller theta_step_deg resolve it"
+            "is not known: trace it here, which gives it a finer grid, or with a smaller theta_step_deg"
         )
     return Check("resolution", None, detail, {"narrow_rows": count}, rows)
 

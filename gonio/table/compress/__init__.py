@@ -10,8 +10,9 @@ and ``decode(content, fields) -> values``; it is one line in `METHODS`. Other pa
 the entry points ``gonio.compression``: modules that add their line when they are imported. The file is an
 HDF5 table that holds the content in place of its values (see `gonio.formats.hdf5`): `Table.load` opens it
 like any other. The table's parts are in the same file, each held to the bound as a table of its own.
-Albedo, delta term, axes, gaps, ledger and provenance are kept in full; error bars of cells and hits are
-dropped, and what is known of the error stands in ``provenance["compression"]``.
+Albedo, delta term, axes, gaps, ledger and provenance are kept in full, the cells of a highlight's own grid
+to a quarter of the bound each. Error bars of cells and hits are dropped; what is known of the error stands in
+``provenance["compression"]``.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from gonio.formats.hdf5_content import stored_bytes
 from gonio.table.compress import codecs, dct, low_rank, tree
 from gonio.table.compress.metric import cosine_weights, excess, row_bounds, row_errors, row_noise
 from gonio.table.parts import walk
+from gonio.table.peak import Peak
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -250,7 +252,18 @@ def _slim(table: Table, facts: Mapping[str, Any], path: str = "") -> Table:
     """The table and its parts without error bars of cells and hits, with the facts of each by its path."""
     parts = {name: _slim(part, facts, f"{path}/{name}".lstrip("/")) for name, part in table.parts.items()}
     provenance = {**table.provenance, "compression": facts[path]}
-    return table.replace(std_error=None, hits=None, provenance=provenance, parts=parts)
+    peak = None
+    if table.peak is not None:
+        values = rounded(table.peak.values, 0.25 * facts[path]["max_error"])
+        peak = Peak(values, table.peak.slope_edges, table.peak.psi_edges)
+    return table.replace(std_error=None, hits=None, peak=peak, provenance=provenance, parts=parts)
+
+
+def rounded(values: NDArray[np.float64], error: float) -> NDArray[np.float64]:
+    """Numbers of few binary digits, within a relative error of the given ones; the rest are zeros that deflate."""
+    mantissa, exponent = np.frexp(values)
+    scale = 2.0 ** np.ceil(-np.log2(error))
+    return np.ldexp(np.round(mantissa * scale) / scale, exponent)
 
 
 def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> NDArray[np.float64]:
