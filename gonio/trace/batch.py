@@ -12,6 +12,7 @@ from gonio.core.directions import projected_solid_angles
 from gonio.core.lookup import axis
 from gonio.core.parallel import for_each
 from gonio.trace.analog import Beam, Bins, Part, Sums
+from gonio.trace.anisotropic import AnisotropicLayout
 from gonio.trace.estimators import ANALOG, HALF_VECTOR, roughness
 from gonio.trace.facets import measure_facets
 from gonio.trace.half_vector import HalfVector
@@ -91,6 +92,8 @@ class BatchTracer:
             self.theta_i_edges = None
             self.theta_i = np.radians(grid.theta_i_deg)
             self._sin2 = np.sin(self.theta_i) ** 2, np.sin(self.theta_i) ** 2
+        self.seconds = 0.0
+        self.anisotropic: AnisotropicLayout | None = None
         self._strata = 2 ** (job.exponent // 2), 2 ** (job.exponent - job.exponent // 2)
         self.paths_per_pass = 16 * 2**job.exponent
         self.tracer = Tracer(job.specimen, job.seed, self.paths_per_pass)
@@ -102,13 +105,24 @@ class BatchTracer:
             self.phi_edges[:: merged[1]],
         )
         self.bin_areas = projected_solid_angles(self.bin_theta_edges, self.bin_phi_edges)
+        self._azimuths = np.full(len(self.theta_i), np.nan)
+        if grid.anisotropic:
+            layout = AnisotropicLayout(job.specimen, self.tracer)
+            self.theta_i, self._azimuths = layout.theta_i, layout.phi_i
+            self._sin2 = np.sin(self.theta_i) ** 2, np.sin(self.theta_i) ** 2
+            self.anisotropic = layout
+            # cells are no boxes in angle: energies are counted, in units of 1 sr
+            self.areas = self.bin_areas = np.ones((layout.cells, layout.cells))
+            self._bins = Bins(
+                axis(layout.x_edges), axis(layout.y_edges), self._orders, self.tracer.stack.share, True
+            )
+            return
         self._bins = Bins(
             axis(np.sin(self.bin_theta_edges) ** 2),
             axis(-np.cos(self.bin_phi_edges)),
             self._orders,
             self.tracer.stack.share,
         )
-        self.seconds = 0.0
 
     def new_tally(self) -> Tally:
         """An empty tally of this job's table."""
@@ -161,7 +175,7 @@ class BatchTracer:
             chunk, slot = divmod(unit, len(slots))
             place = slot, chunk
             row, number = slots[slot]
-            beam = Beam(row, float(self._sin2[0][row]), float(self._sin2[1][row]))
+            beam = Beam(row, float(self._sin2[0][row]), float(self._sin2[1][row]), float(self._azimuths[row]))
             part = Part(*self._strata, chunk * packets // chunks, (chunk + 1) * packets // chunks)
             sums = Sums(cells[place], specular[place], energy[place], ledger[place])
             realisation.trace(self._bins, beam, part, batch + number * _BATCHES, sums)

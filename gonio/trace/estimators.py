@@ -34,6 +34,12 @@ def choose(specimen: Specimen, seed: int, name: str | None = None) -> str:
         raise InputError(f"estimator: {name!r}; one of {', '.join(ESTIMATORS)} is allowed")
     if name == ANALOG:
         return ANALOG
+    if specimen.grid.anisotropic:
+        if name is not None:
+            raise InputError(
+                f"estimator: {name} does not do for anisotropic tables; use {ANALOG}, or leave the choice"
+            )
+        return ANALOG
     reason = _against_half_vector(specimen, seed)
     if reason is None:
         return HALF_VECTOR
