@@ -29,7 +29,7 @@ from gonio.core.jit import kernel
 
 _LEAST = 1e-9  # cosine that stands in for 0: at grazing incidence the slopes are infinite
 _NEAREST = 1e-12  # the horizon is met no closer than so, in units of the fourth power above
-_CORE, _REACH = 0.8, 2.8  # that part of the cells lies evenly within so many widths of slope
+_CORE, _REACH = 0.82, 3.2  # that part of the cells lies evenly within so many widths of slope
 _STEEPEST = 10.0  # slope at which the last cell begins
 _LEAST_WIDTH, _MOST_WIDTH = 1e-3, 1.0
 
