@@ -232,6 +232,11 @@ def _users_case(path: Path) -> _Case:
     """A specimen from a TOML file, or gold facets on a mesh or a measured height map."""
     if path.suffix.lower() == ".toml":
         specimen = load_specimen(path)
+        if specimen.grid.anisotropic:
+            raise InputError(
+                f"{path}: the demo fits and compresses, which is for isotropic tables; leave out anisotropic = true, "
+                "or use gonio trace and gonio render"
+            )
         rough = specimen.material.kind == "lambert"
         return _Case(path.stem, specimen, path.parent, "oren_nayar" if rough else "cook_torrance_beckmann")
     if not path.is_file():

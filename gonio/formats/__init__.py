@@ -77,7 +77,7 @@ def read(path: str | os.PathLike[str]) -> Table:
     if not isinstance(table, Table):
         raise InputError(
             f"{path}: an anisotropic table, and this takes isotropic ones; `gonio info`, `check` and `render` take "
-            "it as it is, for all else trace the specimen without anisotropic = true in [grid]"
+            "it as it is; for all else trace the specimen without anisotropic = true in [grid]"
         )
     return table
 

@@ -128,7 +128,7 @@ def test_azimuths_are_the_specimens(satin):
     other = beckmann((wi @ turned.T)[None], (wo @ turned.T)[None], 0.35, 0.15)[0, 0]
     assert abs(exact / other - 1) > 0.5
     assert satin.eval(wi, wo)[0] == pytest.approx(exact, rel=0.02)
-    assert satin.eval(wi @ turned.T, wo @ turned.T)[0] == pytest.approx(other, rel=0.02)
+    assert satin.eval(wi @ turned.T, wo @ turned.T)[0] == pytest.approx(other, rel=0.05)
 
 
 def test_delta_term():

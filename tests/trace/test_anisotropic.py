@@ -9,6 +9,7 @@ from gonio.core.jit import disabled
 from gonio.table.checks.anisotropic import check_anisotropic
 from gonio.table.tilts import tilt_measures
 from gonio.trace.measure import measure
+from gonio.trace.measurement import Measurement
 from microgeometry.errors import InputError
 from microgeometry.specimen import parse_specimen
 
@@ -151,3 +152,25 @@ def test_what_cannot_be_is_refused():
         measure(anisotropic(groove), rays=1000)
     with pytest.raises(InputError, match="half-vector does not do for anisotropic"):
         measure(anisotropic({"kind": "gaussian", "alpha": 0.2}), rays=1000, estimator="half-vector")
+
+
+def test_goes_on_to_the_same_bits_and_to_a_target():
+    given = anisotropic(
+        {"kind": "gaussian", "alpha": 0.3, "samples": 128},
+        theta_i_deg=[0, 40],
+        phi_i_step_deg=120,
+        tilt_cells=9,
+    )
+    straight, first, second = (Measurement(given, 50_000, seed=5) for _ in range(3))
+    for _ in range(6):
+        straight.add_batch()
+    for _ in range(3):
+        first.add_batch()
+    second.restore({name: np.array(a) for name, a in first.state().items()})
+    for _ in range(3):
+        second.add_batch()
+    assert np.array_equal(straight.table().energy, second.table().energy)
+    assert np.array_equal(straight.table().std_error, second.table().std_error)
+    table = measure(given, rays=2_000_000, target_error=0.1)
+    assert table.provenance["target_met"] is True
+    assert table.ledger["paths"] < 2_000_000
