@@ -14,6 +14,7 @@ BENCHMARKS = {
     "workers": "gonio.bench.workers",
     "compress": "gonio.bench.compress",
     "sample": "gonio.bench.sample",
+    "anisotropic": "gonio.bench.anisotropic",
 }
 """Name to module; a module has ``run(say) -> dict``."""
 

@@ -6,6 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 
+from gonio.bench.anisotropic import beckmann
 from gonio.core.directions import direction
 from gonio.core.jit import disabled, kernel
 from gonio.table.anisotropic import tabulate_brdf
@@ -20,7 +21,6 @@ from renderer.render import render
 from renderer.scene import Camera, DirectionalLight, Disk, Material, Mesh, Scene, Sphere, look_at
 from tests.renderer.scenes import assert_within, constant, mean, spot, square
 from tests.renderer.test_against_mitsuba import PYTHON, SCRIPT
-from tests.table.brushed import beckmann
 from tests.table.test_anisotropic import THETA_I, table_of
 
 pytestmark = [pytest.mark.skipif(disabled, reason="needs compiled kernels"), pytest.mark.compiled]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from gonio.bench.anisotropic import beckmann
 from gonio.core.directions import direction
 from gonio.core.jit import disabled
 from gonio.table.anisotropic import AnisotropicTable, tabulate_brdf
@@ -10,7 +11,6 @@ from gonio.table.tilts import from_tilts, tilt_edges, tilt_measures, to_tilts
 from gonio.validation import check_sampling, validate
 from microgeometry.errors import InputError
 from microgeometry.grid import ANISOTROPIC_THETA_I_DEG
-from tests.table.brushed import beckmann
 
 pytestmark = pytest.mark.skipif(disabled, reason="needs compiled kernels")
 
