@@ -15,10 +15,10 @@ from fitting.models import find_model
 from fitting.objectives import OBJECTIVES
 from fitting.result import Fit
 from fitting.tabulate import tabulate
+from gonio import formats
 from gonio.bench import BENCHMARKS
 from gonio.files import atomic
 from gonio.progress import progress_bar
-from gonio.table.table import Table
 from microgeometry.errors import InputError
 
 BENCHMARKS["fit"] = "fitting.bench"
@@ -55,7 +55,7 @@ def fit_command(
     options = {"objective": objective, "seed": seed}
     if len(tables) == 1 and len(names) == 1 and len(counts) == 1:
         with progress_bar("fit") as progress:
-            result = fit_lobes(Table.load(tables[0]), names[0], counts[0], progress=progress, **options)
+            result = fit_lobes(formats.read(tables[0]), names[0], counts[0], progress=progress, **options)
         if output is not None:
             result.save(output)
         if as_json:
@@ -66,7 +66,7 @@ def fit_command(
     found: dict[str, list[Fit]] = {}
     for path in tables:
         with progress_bar(path.name) as progress:
-            found[str(path)] = fit_models(Table.load(path), names, counts, progress=progress, **options)
+            found[str(path)] = fit_models(formats.read(path), names, counts, progress=progress, **options)
         if not as_json:
             _rank(str(path), found[str(path)])
     if len(tables) > 1 and not as_json:

@@ -12,7 +12,7 @@ import click
 from gonio import formats
 from gonio.interrupt import uninterrupted
 from gonio.progress import progress_bar
-from gonio.summary import summary, summary_text
+from gonio.summary import anisotropic_summary, anisotropic_summary_text, summary, summary_text
 from gonio.table.table import Table
 from gonio.trace.checkpoint import EVERY, Checkpoint
 from gonio.trace.estimators import ESTIMATORS
@@ -72,7 +72,10 @@ def trace(
     from microgeometry.specimen import load_specimen
 
     formats.check_target(out)
-    measurement = start(load_specimen(spec), rays, seconds, seed, threads, target_error, estimator)
+    specimen = load_specimen(spec)
+    if specimen.grid.anisotropic:
+        formats.check_anisotropic_target(out)
+    measurement = start(specimen, rays, seconds, seed, threads, target_error, estimator)
     checkpoint = Checkpoint(out, measurement, every)
     if checkpoint.begin(resume):
         click.echo(f"gonio: going on after {measurement.tally.batches} batches", err=True)
@@ -117,8 +120,14 @@ def trace(
 @_JSON
 def info(table: Path, as_json: bool) -> None:
     """Say what is in a table: grid, channels, albedo, error bars, parts, ledger, provenance."""
-    data = summary(formats.read(table), table)
-    click.echo(json.dumps(data) if as_json else summary_text(data))
+    content = formats.read_any(table)
+    if isinstance(content, Table):
+        data = summary(content, table)
+        text = summary_text(data)
+    else:
+        data = anisotropic_summary(content, table)
+        text = anisotropic_summary_text(data)
+    click.echo(json.dumps(data) if as_json else text)
 
 
 @click.command()
@@ -132,10 +141,15 @@ def check(table: Path, as_json: bool) -> None:
     """
     from gonio.table.checks import check as run_checks
     from gonio.table.checks import noise_lines
+    from gonio.table.checks.anisotropic import check_anisotropic
 
-    content = formats.read(table)
-    report = run_checks(content)
-    lines = report.lines() if content.std_error is None else [*report.lines(), *noise_lines(content)]
+    content = formats.read_any(table)
+    if isinstance(content, Table):
+        report = run_checks(content)
+        lines = report.lines() if content.std_error is None else [*report.lines(), *noise_lines(content)]
+    else:
+        report = check_anisotropic(content)
+        lines = report.lines()
     click.echo(json.dumps(report.to_json()) if as_json else "\n".join(lines))
     if not report.passed:
         raise click.exceptions.Exit(1)

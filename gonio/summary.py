@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio.table.anisotropic import AnisotropicTable
 from gonio.table.parts import TRANSMISSION
 from gonio.table.table import Table
 
@@ -29,11 +30,6 @@ def summary(table: Table, path: Path) -> dict[str, Any]:
         and "parts" of its own; under "peak" the shape and largest slope of a highlight's own cells. What a
         table does not know is None.
     """
-    provenance = dict(table.provenance)
-    names = (
-        "estimator", "batches", "seconds", "paths_per_second", "figure_of_merit", "target_met", "surface",
-    )  # fmt: skip
-    known = {name: provenance.get(name) for name in names}
     transmission = table.parts.get(TRANSMISSION)
     dark = np.zeros_like(table.row_albedo)
     return {
@@ -50,13 +46,58 @@ def summary(table: Table, path: Path) -> dict[str, Any]:
         **_rows(table),
         "transmittance": (dark if transmission is None else transmission.row_albedo).tolist(),
         "transmittance_std_error": (dark if transmission is None else transmission.albedo_std_error).tolist(),
-        "ledger": dict(table.ledger),
-        **known,
-        "provenance": provenance,
+        **_history(table),
     }
 
 
-def _rows(table: Table) -> dict[str, Any]:
+def anisotropic_summary(table: AnisotropicTable, path: Path) -> dict[str, Any]:
+    """Describe an anisotropic table in plain Python types; as `summary`, but nested [theta_i][phi_i][channel]."""
+    return {
+        "file": str(path),
+        "bytes": path.stat().st_size,
+        "anisotropic": True,
+        "shape": list(table.energy.shape),
+        "bytes_in_memory": table.nbytes,
+        "theta_i_deg": np.degrees(table.theta_i).tolist(),
+        "phi_i_deg": np.degrees(table.phi_i).tolist(),
+        "channels": list(table.channels),
+        "wavelengths_nm": table.wavelengths_nm,
+        **_rows(table),
+        **_history(table),
+    }
+
+
+def anisotropic_summary_text(data: Mapping[str, Any]) -> str:
+    """What `anisotropic_summary` found, for people: of the channels' mean, six azimuths across."""
+    n_theta, n_phi, *cells, _ = data["shape"]
+    lines = [
+        f"{data['file']}: {data['bytes'] / 1e6:.1f} MB, anisotropic, {n_theta} theta_i x {n_phi} phi_i x "
+        f"{cells[0]} x {cells[1]} cells ({data['bytes_in_memory'] / 1e6:.1f} MB in memory)",
+        *_history_lines(data),
+    ]
+    columns = np.unique(np.linspace(0, n_phi, 6, endpoint=False).round().astype(int))
+    azimuths = "".join(f"{data['phi_i_deg'][b]:9.4g}" for b in columns)
+    for name, whole in _with_transmission(data):
+        lines.append(f"theta_i  {name}, mean over channels, at phi_i, degrees: {azimuths.strip()}")
+        albedo = np.mean(whole["albedo"], axis=2)
+        lines += [
+            f"{theta:7.2f}  " + "".join(f"{value:9.5f}" for value in albedo[a, columns])
+            for a, theta in enumerate(data["theta_i_deg"])
+        ]
+    return "\n".join(lines)
+
+
+def _history(table: Table | AnisotropicTable) -> dict[str, Any]:
+    """How a table came to be."""
+    provenance = dict(table.provenance)
+    names = (
+        "estimator", "batches", "seconds", "paths_per_second", "figure_of_merit", "target_met", "surface",
+    )  # fmt: skip
+    known = {name: provenance.get(name) for name in names}
+    return {"ledger": dict(table.ledger), **known, "provenance": provenance}
+
+
+def _rows(table: Table | AnisotropicTable) -> dict[str, Any]:
     """A table's row quantities, and those of its parts."""
     return {
         "albedo": table.row_albedo.tolist(),
@@ -69,6 +110,31 @@ def _rows(table: Table) -> dict[str, Any]:
 def summary_text(data: Mapping[str, Any]) -> str:
     """What `summary` found, for people; at most ten rows of incidence."""
     lines = [f"{data['file']}: {data['bytes'] / 1e6:.1f} MB, {' x '.join(map(str, data['shape']))} cells"]
+    lines += _history_lines(data)
+    theta_i = data["theta_i_deg"]
+    rows = np.unique(np.linspace(0, len(theta_i) - 1, 10).round().astype(int)).tolist()
+    for name, whole in _with_transmission(data):
+        lines.append(f"theta_i  {name} (+- standard error) [specular] in each channel")
+        for i in rows:
+            cells = (
+                f"{a:.5f} +- {e:.1e} [{s:.4f}]"
+                for a, e, s in zip(
+                    whole["albedo"][i], whole["albedo_std_error"][i], whole["specular"][i], strict=True
+                )
+            )
+            lines.append(f"{theta_i[i]:7.2f}  {'   '.join(cells)}")
+        if orders := {n: part for n, part in whole["parts"].items() if n != TRANSMISSION}:
+            lines.append(f"theta_i  {name} by number of bounces, mean over channels")
+            lines.append((" " * 9 + "".join(f"{n:10s}" for n in orders)).rstrip())
+            for i in rows:
+                cells = (f"{np.mean(part['albedo'][i]):<10.5f}" for part in orders.values())
+                lines.append(f"{theta_i[i]:7.2f}  {''.join(cells)}".rstrip())
+    return "\n".join(lines)
+
+
+def _history_lines(data: Mapping[str, Any]) -> list[str]:
+    """How it came to be, in words."""
+    lines = []
     if part := data["provenance"].get("part"):
         lines.append(f"part          {part}")
     lines.append(f"channels      {', '.join(data['channels'])}")
@@ -96,25 +162,7 @@ def summary_text(data: Mapping[str, Any]) -> str:
         lines.append(f"realisation   {one}")
     width = max(map(len, data["ledger"]), default=0)
     lines += [f"  {name:{width}}  {energy:.6g}" for name, energy in data["ledger"].items()]
-    theta_i = data["theta_i_deg"]
-    rows = np.unique(np.linspace(0, len(theta_i) - 1, 10).round().astype(int)).tolist()
-    for name, whole in _with_transmission(data):
-        lines.append(f"theta_i  {name} (+- standard error) [specular] in each channel")
-        for i in rows:
-            cells = (
-                f"{a:.5f} +- {e:.1e} [{s:.4f}]"
-                for a, e, s in zip(
-                    whole["albedo"][i], whole["albedo_std_error"][i], whole["specular"][i], strict=True
-                )
-            )
-            lines.append(f"{theta_i[i]:7.2f}  {'   '.join(cells)}")
-        if orders := {n: part for n, part in whole["parts"].items() if n != TRANSMISSION}:
-            lines.append(f"theta_i  {name} by number of bounces, mean over channels")
-            lines.append((" " * 9 + "".join(f"{n:10s}" for n in orders)).rstrip())
-            for i in rows:
-                cells = (f"{np.mean(part['albedo'][i]):<10.5f}" for part in orders.values())
-                lines.append(f"{theta_i[i]:7.2f}  {''.join(cells)}".rstrip())
-    return "\n".join(lines)
+    return lines
 
 
 def _with_transmission(data: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:

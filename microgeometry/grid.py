@@ -15,6 +15,9 @@ from microgeometry.keys import Keys
 CIE_RANGE_NM = (405.0, 705.0)
 """First and last wavelength traced for "rgb"; they stand for what lies beyond them, too."""
 
+ANISOTROPIC_THETA_I_DEG = (0, 10, 20, 30, 40, 50, 57, 63, 68, 72, 76, 79, 82, 84, 86, 87.5, 89)
+"""Rows of an anisotropic table, unless it is said which: closer where shadows grow."""
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -33,6 +36,10 @@ class Grid:
       Notes.
     - ``theta_i_deg``: the rows to measure, increasing, 0 <= theta_i < 90; if absent, theta_i is binned
       like theta_r. ``theta_step_deg`` (1) divides 90, ``phi_step_deg`` (1) divides 180.
+    - ``anisotropic = true``: a table over phi_i as well, which counts from the specimen's x axis. Its rows are
+      exactly ``theta_i_deg`` (default: 17 angles from 0 to 89) times every ``phi_i_step_deg`` (10, divides 360), and
+      its cells ``tilt_cells`` (65, odd) to either side of the tilts of the half vector, as fine as the slopes are
+      narrow (see `gonio.table.tilts`); the steps above have no meaning then.
     - ``orders`` (1): with K > 1 there are also tables of the light after exactly 1, 2, ..., K - 1 bounces
       and after K or more.
 
@@ -52,6 +59,11 @@ class Grid:
         Matrix (C, S), channels = matrix @ samples; each row sums to 1. None where the channels are the samples.
     orders : int
         K.
+    anisotropic : bool
+    phi_i_step_deg : float
+        Between the azimuths of incidence of an anisotropic table, degrees.
+    tilt_cells : int
+        Cells of an anisotropic table along each of the two tilts.
     luminance : tuple of float, or None
         Weights of the channels in the luminance Y, where `to_channels` leads to sRGB.
 
@@ -80,6 +92,16 @@ class Grid:
     to_channels: tuple[tuple[float, ...], ...] | None = None
     orders: int = 1
     luminance: tuple[float, ...] | None = None
+    anisotropic: bool = False
+    phi_i_step_deg: float = 10.0
+    tilt_cells: int = 65
+
+    @property
+    def n_rows(self) -> int:
+        """Rows of incidence of the table."""
+        if self.theta_i_deg is None:
+            return round(90 / self.theta_step_deg)
+        return len(self.theta_i_deg) * (round(360 / self.phi_i_step_deg) if self.anisotropic else 1)
 
     @property
     def n_samples(self) -> int:
@@ -99,12 +121,16 @@ class Grid:
         keys.allow(
             "wavelengths_nm", "channels", "wavelength_step_nm", "illuminant",
             "theta_i_deg", "theta_step_deg", "phi_step_deg", "orders",
+            "anisotropic", "phi_i_step_deg", "tilt_cells",
         )  # fmt: skip
         theta_i = None
         if "theta_i_deg" in keys:
             theta_i = keys.numbers("theta_i_deg", at_least=0, below=90)
             if any(b <= a for a, b in pairwise(theta_i)):
                 raise keys.error("theta_i_deg", "must increase from angle to angle; sort them, each once")
+        anisotropic = _check_anisotropic(keys)
+        if anisotropic and theta_i is None:
+            theta_i = ANISOTROPIC_THETA_I_DEG
         wavelengths, channels, samples, matrix = _channels(keys, list(optics))
         luminance = None if matrix is None else rgb_luminance(_illuminant(keys))
         return cls(
@@ -117,7 +143,26 @@ class Grid:
             matrix,
             keys.integer("orders", 1, at_least=1, at_most=16),
             None if luminance is None else tuple(luminance.tolist()),
+            anisotropic,
+            _step(keys, "phi_i_step_deg", 10.0, 360, "degrees"),
+            keys.integer("tilt_cells", 65, at_least=9, at_most=513),
         )
+
+
+def _check_anisotropic(keys: Keys) -> bool:
+    """Whether the table is to be anisotropic; refuses keys that mean nothing then, or otherwise."""
+    anisotropic = keys.flag("anisotropic")
+    for key in ("theta_step_deg", "phi_step_deg") if anisotropic else ("phi_i_step_deg", "tilt_cells"):
+        if key in keys:
+            raise keys.error(
+                key,
+                "an anisotropic table has no such cells; give theta_i_deg, phi_i_step_deg or tilt_cells"
+                if anisotropic
+                else "only of an anisotropic table; add anisotropic = true, or leave it out",
+            )
+    if "tilt_cells" in keys and keys.integer("tilt_cells", 65, at_least=9, at_most=513) % 2 == 0:
+        raise keys.error("tilt_cells", "must be odd, so that a cell lies in the middle")
+    return anisotropic
 
 
 _Channels = tuple[

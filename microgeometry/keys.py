@@ -103,6 +103,13 @@ class Keys:
             raise self.error(key, f"must be a whole number, at least {at_least} and at most {at_most}")
         return int(value)
 
+    def flag(self, key: str) -> bool:
+        """Read true or false; false where it is not given."""
+        value = self.table.get(key, False)
+        if not isinstance(value, bool):
+            raise self.error(key, "must be true or false")
+        return value
+
     def numbers(
         self,
         key: str,

@@ -97,12 +97,12 @@ def report(table: Path, fits: tuple[Path, ...], out: Path) -> None:
     Files that the specimen names (a height map, a mesh) are looked for beside the table.
     """
     from fitting.result import Fit
-    from gonio.table.table import Table
+    from gonio import formats
     from renderer.report import write_report
 
     with progress_bar(f"Report of {table.name}") as progress:
         write_report(
-            Table.load(table),
+            formats.read(table),
             out,
             {path.stem: Fit.load(path) for path in fits},
             folder=table.parent,

@@ -13,6 +13,7 @@ from typing import Any
 
 from fitting.fit import fit
 from fitting.result import Fit
+from gonio import formats
 from gonio.files import atomic
 from gonio.progress import progress_bar
 from gonio.resources import data_folder
@@ -162,7 +163,7 @@ class Demo:
                 speed=f"{report.ratio:.0f}:1, {report.bytes / 1e3:.0f} kB",
                 error=f"{report.error_median:.3f} of a row, its noise {report.noise_median:.3f}",
             )
-        return Table.load(path)
+        return formats.read(path)
 
     def _render(self, case: _Case) -> dict[str, Difference]:
         sources = {
@@ -231,6 +232,11 @@ def _users_case(path: Path) -> _Case:
     """A specimen from a TOML file, or gold facets on a mesh or a measured height map."""
     if path.suffix.lower() == ".toml":
         specimen = load_specimen(path)
+        if specimen.grid.anisotropic:
+            raise InputError(
+                f"{path}: the demo fits and compresses, which is for isotropic tables; leave out anisotropic = true, "
+                "or use gonio trace and gonio render"
+            )
         rough = specimen.material.kind == "lambert"
         return _Case(path.stem, specimen, path.parent, "oren_nayar" if rough else "cook_torrance_beckmann")
     if not path.is_file():

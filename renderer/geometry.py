@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gonio.core.directions import frame
 from gonio.core.embree import (
     DIR_X,
     DIR_Y,
@@ -43,8 +44,9 @@ class Geometry(NamedTuple):
     smooth: np.ndarray  # int64 (M,), whether vertex normals are interpolated
     faces: np.ndarray  # int32 (F, 3)
     normals: np.ndarray  # float32 (V, 3)
+    tangents: np.ndarray  # float32 (F, 3), where u grows
     is_disk: np.ndarray  # int64 (Q,)
-    quadric: np.ndarray  # (Q, 8): centre, radius, orientation; disks: normal
+    quadric: np.ndarray  # (Q, 8): centre, radius, orientation; disks: normal, spheres: axis
 
 
 @kernel(allocates=False)
@@ -151,6 +153,37 @@ def surface(geometry, packet, lane, i_quadric):
         scale = 1.0 / math.sqrt(x * x + y * y + z * z)
         x, y, z = x * scale, y * scale, z * scale
     return mesh, point, normal, (x, y, z), t
+
+
+@kernel(allocates=False)
+def tangents(geometry, packet, lane, shape, point, n):
+    """The axes x and y of an anisotropic material at a hit of the lane, in the plane of the shading normal `n`.
+
+    x is where the shape's u grows: see `renderer.scene`. Any two axes where that direction is undefined.
+    """
+    n_meshes = len(geometry.first_face)
+    if shape >= n_meshes:
+        q = geometry.quadric
+        i = shape - n_meshes
+        x, y, z = point[0] - q[i, 0], point[1] - q[i, 1], point[2] - q[i, 2]
+        if not geometry.is_disk[i]:
+            a, b, c = q[i, 5], q[i, 6], q[i, 7]
+            x, y, z = b * z - c * y, c * x - a * z, a * y - b * x
+        scale = 1.0 / q[i, 3]
+        x, y, z = scale * x, scale * y, scale * z
+    else:
+        face = geometry.first_face[shape] + packet.view(np.int32)[PRIM_ID, lane]
+        x = np.float64(geometry.tangents[face, 0])
+        y = np.float64(geometry.tangents[face, 1])
+        z = np.float64(geometry.tangents[face, 2])
+    along = x * n[0] + y * n[1] + z * n[2]
+    x, y, z = x - along * n[0], y - along * n[1], z - along * n[2]
+    length2 = x * x + y * y + z * z
+    if length2 < 1e-12:
+        return frame(n)
+    scale = 1.0 / math.sqrt(length2)
+    s = (scale * x, scale * y, scale * z)
+    return s, (n[1] * s[2] - n[2] * s[1], n[2] * s[0] - n[0] * s[2], n[0] * s[1] - n[1] * s[0])
 
 
 @kernel(allocates=False)

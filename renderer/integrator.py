@@ -34,9 +34,9 @@ from gonio.core.jit import kernel
 from gonio.core.philox import uniforms
 from renderer.camera import View, camera_ray
 from renderer.environment import environment_radiance
-from renderer.geometry import Geometry, nearest_quadric, offset, surface
+from renderer.geometry import Geometry, nearest_quadric, offset, surface, tangents
 from renderer.lights import Lights, area_density, sample_light
-from renderer.materials import Materials, evaluate, sample
+from renderer.materials import ANISOTROPIC, Materials, evaluate, sample
 
 # The kernels below that take the whole World are inlined where they are called, once each: by value it is
 # some 400 words, and copying it doubled the time of a path.
@@ -160,11 +160,11 @@ def _to_local(s, t, n, v):
 
 
 @kernel(inline=True, allocates=False)
-def _light_up(world, shadows, pending, lane, state, hit, wo, u, memory):
+def _light_up(world, shadows, pending, lane, state, hit, axes, wo, u, memory):
     """Draw a light and, if it would matter, aim the lane's shadow ray at it. Returns whether it was aimed."""
     shape, point, normal, shading, distance = hit
     material = world.geometry.material[shape]
-    s, t = frame(shading)
+    s, t = axes
     direction, reach, red, green, blue, density = sample_light(world.lights, point, u[0], u[1], u[2], u[3])
     if red + green + blue <= 0.0:
         return False
@@ -183,10 +183,10 @@ def _light_up(world, shadows, pending, lane, state, hit, wo, u, memory):
 
 
 @kernel(inline=True, allocates=False)
-def _go_on(world, packet, lane, state, hit, wo, u, segment, memory):
+def _go_on(world, packet, lane, state, hit, axes, wo, u, segment, memory):
     """Draw the path's next direction and aim the lane in it. Returns whether the path goes on."""
     shape, point, normal, shading, distance = hit
-    s, t = frame(shading)
+    s, t = axes
     wi, red, green, blue, density = sample(
         world.materials, world.geometry.material[shape], wo, u[0], u[1], u[2], memory
     )
@@ -248,15 +248,17 @@ def _follow(world, scratch, seed, i_sample):
             if hit[0] < 0 or segment >= world.limits[0]:
                 continue
             _, direction = _ray(packet, lane)
-            s, t = frame(shading)
-            wo = _to_local(s, t, shading, (-direction[0], -direction[1], -direction[2]))
+            axes = frame(shading)
+            if world.materials.kind[world.geometry.material[hit[0]]] == ANISOTROPIC:
+                axes = tangents(world.geometry, packet, lane, hit[0], hit[1], shading)
+            wo = _to_local(axes[0], axes[1], shading, (-direction[0], -direction[1], -direction[2]))
             if n_lights:
                 u = uniforms(i_sample, segment, _FOR_LIGHT, 0, seed, pixels[lane])
-                if _light_up(world, shadows, pending, lane, state, hit, wo, u, memory):
+                if _light_up(world, shadows, pending, lane, state, hit, axes, wo, u, memory):
                     shadowed = True
                     n_rays += 1
             u = uniforms(i_sample, segment, _FOR_MATERIAL, 0, seed, pixels[lane])
-            if _go_on(world, packet, lane, state, hit, wo, u, segment, memory):
+            if _go_on(world, packet, lane, state, hit, axes, wo, u, segment, memory):
                 active = True
         if shadowed:
             _shadow(world.geometry, shadows, quadrics, state, pending)
@@ -273,7 +275,7 @@ class Scratch(NamedTuple):
     pixels: np.ndarray  # int64 (16,)
     state: np.ndarray  # (16, 7)
     pending: np.ndarray  # (16, 3), light that arrives if the lane's shadow ray meets nothing
-    memory: np.ndarray  # (3,), the materials'
+    memory: np.ndarray  # (6,), the materials'
 
 
 def new_scratch() -> Scratch:
@@ -287,7 +289,7 @@ def new_scratch() -> Scratch:
         integers[1],
         np.zeros((lanes, 7)),
         np.zeros((lanes, 3)),
-        np.zeros(3),
+        np.zeros(6),
     )
 
 

@@ -16,8 +16,10 @@ import numpy as np
 from gonio.core.directions import cosine_hemisphere
 from gonio.core.jit import kernel
 from gonio.core.optics import fresnel_conductor, fresnel_dielectric
+from gonio.table.anisotropic_pool import AnisotropicPool
 from gonio.table.pool import Pool
 from renderer.analytic import Lobes, analytic_evaluate, analytic_sample
+from renderer.anisotropic import anisotropic_evaluate, anisotropic_sample
 from renderer.microfacet import rough_evaluate, rough_sample
 from renderer.tabulated import tabulated_evaluate, tabulated_sample
 
@@ -25,6 +27,8 @@ KINDS = ("none", "diffuse", "conductor", "rough_conductor", "dielectric", "plast
 NONE, DIFFUSE, CONDUCTOR, ROUGH_CONDUCTOR, DIELECTRIC, PLASTIC, TABULATED, ANALYTIC = range(len(KINDS))
 TRANSMITTING = len(KINDS)
 """An analytic material with lobes that let light through."""
+ANISOTROPIC = TRANSMITTING + 1
+"""A tabulated material that knows the azimuth; its local x and y are those of `renderer.geometry.tangents`."""
 
 
 class Materials(NamedTuple):
@@ -36,6 +40,7 @@ class Materials(NamedTuple):
     first: np.ndarray  # int64 (M,), the table in the pool, or the first lobe
     n_lobes: np.ndarray  # int64 (M,), of an analytic model
     pool: Pool
+    anisotropic: AnisotropicPool
     lobes: Lobes
 
 
@@ -88,7 +93,7 @@ def evaluate(materials, m, wi, wo, memory):
 
     Parameters
     ----------
-    memory : ndarray, shape (3,)
+    memory : ndarray, shape (6,)
         Working memory.
 
     Returns
@@ -121,6 +126,8 @@ def evaluate(materials, m, wi, wo, memory):
         return tabulated_evaluate(materials.pool, materials.first[m], wi, wo, memory)
     if kind == ANALYTIC:
         return analytic_evaluate(materials.lobes, materials.first[m], materials.n_lobes[m], wi, wo)
+    if kind == ANISOTROPIC:
+        return anisotropic_evaluate(materials.anisotropic, materials.first[m], wi, wo, memory)
     return 0.0, 0.0, 0.0, 0.0
 
 
@@ -168,6 +175,8 @@ def _sample_upper(materials, m, wo, u0, u1, u2, memory):
         return tabulated_sample(materials.pool, materials.first[m], wo, u0, u1, u2, memory)
     if kind == ANALYTIC:
         return analytic_sample(materials.lobes, materials.first[m], materials.n_lobes[m], wo, u0, u1, u2)
+    if kind == ANISOTROPIC:
+        return anisotropic_sample(materials.anisotropic, materials.first[m], wo, u0, u1, u2, memory)
     if kind == PLASTIC:
         chance = _plastic_mirror_chance(values, m, wo[2])
         if u0 < chance:

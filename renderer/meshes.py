@@ -64,11 +64,21 @@ def load_mesh(path: Path, *, face_normals: bool = False) -> Mesh:
     if not np.all(np.isfinite(vertices)) or faces.min() < 0 or faces.max() >= len(vertices):
         raise InputError(f"{path}: has vertices that are not finite, or faces of vertices that do not exist")
     normals: list[Any] = [part.get("vertex_normals") for part in parts]
+    uv = _uv(parts)
     if face_normals or any(
         n is None or len(n) != len(p["vertices"]) for n, p in zip(normals, parts, strict=True)
     ):
-        return Mesh(vertices, faces)
-    return Mesh(vertices, faces, np.concatenate(normals).astype(np.float64))
+        return Mesh(vertices, faces, uv=uv)
+    return Mesh(vertices, faces, np.concatenate(normals).astype(np.float64), uv=uv)
+
+
+def _uv(parts: list[dict[str, Any]]) -> Array | None:
+    """Texture coordinates, where every vertex of every part has finite ones."""
+    found: list[Any] = [getattr(part.get("visual"), "uv", None) for part in parts]
+    for part, uv in zip(parts, found, strict=True):
+        if uv is None or np.shape(uv) != (len(part["vertices"]), 2) or not np.all(np.isfinite(uv)):
+            return None
+    return np.concatenate(found).astype(np.float64)
 
 
 def _parts(path: Path) -> list[dict[str, Any]]:
@@ -103,4 +113,5 @@ def transformed(mesh: Mesh, to_world: Array, *, flip: bool = False) -> Mesh:
         normals = normals @ np.linalg.inv(linear)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
         normals = -normals if flip else normals
-    return Mesh(vertices, faces, normals, mesh.material, mesh.emission)
+    x, y, z = (float(c) for c in linear @ np.array(mesh.x_axis))
+    return Mesh(vertices, faces, normals, mesh.material, mesh.emission, mesh.uv, (x, y, z))

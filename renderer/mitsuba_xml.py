@@ -11,6 +11,10 @@ bsdf           diffuse, conductor, roughconductor, dielectric, plastic, twosided
                tabulated (string filename: a BRDF table), analytic (string filename: a fit)
 =============  =====================================================================================
 
+The x axis of an anisotropic table lies where u grows: along a sphere's parallels, away from a disk's centre, along a
+rectangle's x, by the texture coordinates of an obj or ply. A cube, or a mesh without them, takes its own x axis,
+projected onto the surface.
+
 Whatever would change the picture and is not supported is an `InputError` that names the element.
 """
 
@@ -28,6 +32,7 @@ import defusedxml
 import defusedxml.ElementTree
 import numpy as np
 
+from gonio.table.anisotropic import AnisotropicTable
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 from renderer.image import read_exr
@@ -101,7 +106,7 @@ class _Loader:
         self.shared: dict[str, Material] = {}
         self.environment: Environment | None = None
         self.lights: list[PointLight | DirectionalLight] = []
-        self.tables: dict[Path, Table] = {}
+        self.tables: dict[Path, Table | AnisotropicTable] = {}
 
     def scene(self) -> Scene:
         root = self.root
@@ -278,7 +283,8 @@ def _sphere(node: Node) -> Sphere:
     if not radius * scale > 0:
         raise node.error(f"radius is {radius * scale}; a positive length is needed")
     x, y, z = (float(v) for v in linear @ center + matrix[:3, 3])
-    return Sphere((x, y, z), float(radius * scale), node.flag("flip_normals"))
+    a, b, c = (float(v) for v in linear[:, 2] / scale)
+    return Sphere((x, y, z), float(radius * scale), node.flag("flip_normals"), axis=(a, b, c))
 
 
 def _mesh(node: Node, mesh: Mesh) -> Mesh:

@@ -89,6 +89,7 @@ def _pack_geometry(
     scene = embree.Scene()
     faces: list[NDArray[np.int32]] = [np.zeros((0, 3), np.int32)]
     normals: list[NDArray[np.float32]] = [np.zeros((0, 3), np.float32)]
+    along: list[NDArray[np.float32]] = [np.zeros((0, 3), np.float32)]
     first_face, smooth, is_disk, quadric, extent = [], [], [], [], []
     n_faces, n_normals = 0, 0
     for shape in shapes:
@@ -98,6 +99,7 @@ def _pack_geometry(
             smooth.append(shape.normals is not None)
             faces.append(np.asarray(shape.faces, np.int32) + (n_normals if shape.normals is not None else 0))
             n_faces += len(shape.faces)
+            along.append(_face_tangents(shape))
             if shape.normals is not None:
                 normals.append(np.asarray(shape.normals, np.float32))
                 n_normals += len(shape.normals)
@@ -111,7 +113,7 @@ def _pack_geometry(
             if not shape.radius > 0:
                 raise InputError(f"sphere: radius is {shape.radius}; a positive length is needed")
             is_disk.append(0)
-            quadric.append([*shape.center, shape.radius, -1.0 if shape.flip_normals else 1.0, 0, 0, 0])
+            quadric.append([*shape.center, shape.radius, -1.0 if shape.flip_normals else 1.0, *shape.axis])
             extent.append(np.abs(shape.center).max() + shape.radius)
     scene.commit()
     return scene, Geometry(
@@ -123,9 +125,25 @@ def _pack_geometry(
         np.array(smooth, np.int64),
         np.ascontiguousarray(np.concatenate(faces), np.int32),
         np.ascontiguousarray(np.concatenate(normals), np.float32),
+        np.ascontiguousarray(np.concatenate(along), np.float32),
         np.array(is_disk, np.int64),
         np.array(quadric, np.float64).reshape(-1, 8),
     )
+
+
+def _face_tangents(mesh: Mesh) -> NDArray[np.float32]:
+    """Unit direction in which u grows on each face, shape (F, 3); the mesh's x axis where there is no uv."""
+    found = np.broadcast_to(np.asarray(mesh.x_axis, np.float64), (len(mesh.faces), 3)).copy()
+    if mesh.uv is not None:
+        vertices, uv = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.uv, np.float64)
+        a, b, c = (mesh.faces[:, corner] for corner in range(3))
+        (du1, dv1), (du2, dv2) = (uv[b] - uv[a]).T, (uv[c] - uv[a]).T
+        area = du1 * dv2 - dv1 * du2
+        grows = dv2[:, None] * (vertices[b] - vertices[a]) - dv1[:, None] * (vertices[c] - vertices[a])
+        grows *= np.sign(area)[:, None]
+        known = np.linalg.norm(grows, axis=1) > 0
+        found[known] = grows[known]
+    return (found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-30)).astype(np.float32)
 
 
 def _primitives(shape: Shape) -> tuple[int, Array, Array]:

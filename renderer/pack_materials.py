@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from fitting.models import SHAPE, SIZE, find_lobe
 from fitting.result import Fit
 from gonio.core.optics import fresnel_dielectric
+from gonio.table.anisotropic import AnisotropicTable
+from gonio.table.anisotropic_pool import pool_anisotropic
 from gonio.table.pool import pool_tables
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 from renderer.analytic import Lobes
-from renderer.materials import KINDS, TRANSMITTING, Materials
+from renderer.materials import ANISOTROPIC, KINDS, TRANSMITTING, Materials
 from renderer.scene import Array, Material
-from renderer.spectral import rgb_table, rgb_weights
+from renderer.spectral import rgb_anisotropic, rgb_table, rgb_weights
 
 DISTRIBUTIONS = {"beckmann": 0.0, "ggx": 1.0}
 
@@ -32,8 +35,9 @@ def pack_materials(materials: Sequence[Material]) -> Materials:
     values = np.zeros((len(materials), 12))
     kinds = np.zeros(len(materials), np.int64)
     first, count = np.zeros((2, len(materials)), np.int64)
-    names: list[str] = []
-    tables: list[Table] = []  # as they are given
+    # as they are given, with their names
+    tables: list[tuple[Table, str]] = []
+    anisotropic: list[tuple[AnisotropicTable, str]] = []
     lobes: list[Lobes] = [Lobes(np.zeros(0, np.int64), np.zeros((0, SIZE)), np.zeros((0, 7)))]
     for m, material in enumerate(materials):
         if material.kind not in KINDS:
@@ -43,12 +47,12 @@ def pack_materials(materials: Sequence[Material]) -> Materials:
             entries = _ROWS[material.kind](material)
             values[m, : len(entries)] = entries
         elif material.kind == "tabulated":
-            table: Table = material.values["table"]
-            known = [i for i, other in enumerate(tables) if other is table]
-            first[m] = known[0] if known else len(tables)
-            if not known:
-                tables.append(table)
-                names.append(_name(material))
+            table: Table | AnisotropicTable = material.values["table"]
+            if isinstance(table, AnisotropicTable):
+                kinds[m] = ANISOTROPIC
+                first[m] = _place(table, _name(material), anisotropic)
+            else:
+                first[m] = _place(table, _name(material), tables)
         elif material.kind == "analytic":
             fit: Fit = material.values["fit"]
             lobes.append(_lobes(fit, _name(material)))
@@ -61,9 +65,22 @@ def pack_materials(materials: Sequence[Material]) -> Materials:
         values,
         first,
         count,
-        pool_tables([rgb_table(table, name) for table, name in zip(tables, names, strict=True)]),
+        pool_tables([rgb_table(table, name) for table, name in tables]),
+        pool_anisotropic([rgb_anisotropic(table, name) for table, name in anisotropic]),
         Lobes(*(np.concatenate(parts) for parts in zip(*lobes, strict=True))),
     )
+
+
+_AnyTable = TypeVar("_AnyTable")
+
+
+def _place(table: _AnyTable, name: str, tables: list[tuple[_AnyTable, str]]) -> int:
+    """Number of the table in the list, which it joins if it is new."""
+    for i, (other, _) in enumerate(tables):
+        if other is table:
+            return i
+    tables.append((table, name))
+    return len(tables) - 1
 
 
 def _name(material: Material) -> str:

@@ -99,18 +99,26 @@ class Material:
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """A sphere, traced exactly. Normals point outwards, inwards if `flip_normals`."""
+    """A sphere, traced exactly. Normals point outwards, inwards if `flip_normals`.
+
+    `axis` goes through the poles; the x axis of an anisotropic material runs along the parallels about it,
+    eastwards.
+    """
 
     center: RGB = (0.0, 0.0, 0.0)
     radius: float = 1.0
     flip_normals: bool = False
     material: Material = field(default_factory=Material)
     emission: RGB | None = None
+    axis: RGB = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Disk:
-    """The unit disk in the plane z = 0 with normal +z, traced exactly, under a similarity transform."""
+    """The unit disk in the plane z = 0 with normal +z, traced exactly, under a similarity transform.
+
+    The x axis of an anisotropic material points away from the centre.
+    """
 
     to_world: Array = field(default_factory=lambda: np.eye(4))
     flip_normals: bool = False
@@ -130,6 +138,10 @@ class Mesh:
         Counter-clockwise about the outward normal.
     normals : ndarray, shape (V, 3), optional
         Vertex normals to interpolate for shading; None shades flat.
+    uv : ndarray, shape (V, 2), optional
+        The x axis of an anisotropic material points where u grows.
+    x_axis : tuple of float
+        What stands in for it, projected onto the surface, where there is no uv.
     """
 
     vertices: Array
@@ -137,6 +149,8 @@ class Mesh:
     normals: Array | None = None
     material: Material = field(default_factory=Material)
     emission: RGB | None = None
+    uv: Array | None = None
+    x_axis: RGB = (1.0, 0.0, 0.0)
 
 
 Shape = Sphere | Disk | Mesh

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gonio.table.anisotropic import AnisotropicTable
 from gonio.table.table import Table
 from microgeometry.colour import rgb_matrix
 from microgeometry.errors import InputError
@@ -67,6 +68,28 @@ def rgb_table(table: Table, name: str) -> Table:
 
     return table.replace(
         values=mixed(table.values),
+        row_albedo=mixed(table.row_albedo),
+        specular=mixed(table.specular),
+        channels=_RGB,
+        wavelengths_nm=None,
+        std_error=None,
+        albedo_std_error=np.zeros(()),
+        specular_std_error=np.zeros(()),
+        parts={},
+    )
+
+
+def rgb_anisotropic(table: AnisotropicTable, name: str) -> AnisotropicTable:
+    """As `rgb_table`."""
+    weights = rgb_weights(table.channels, table.wavelengths_nm, name)
+    if weights is None:
+        return table
+
+    def mixed(values: Array) -> Array:
+        return np.maximum(values @ weights.T, 0.0)
+
+    return table.replace(
+        energy=mixed(table.energy.astype(float)),
         row_albedo=mixed(table.row_albedo),
         specular=mixed(table.specular),
         channels=_RGB,

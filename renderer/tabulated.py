@@ -16,7 +16,8 @@ from gonio.table.interpolation import eval_table, pdf_table, sample_table
 from gonio.table.pool import N_CHANNELS
 from gonio.table.row_quantities import albedo_table, specular_table
 
-_DEFENSIVE = 0.05
+DEFENSIVE = 0.05
+"""Share of samples that are Lambert's."""
 
 
 @kernel(allocates=False)
@@ -41,7 +42,7 @@ def mirror_chance(pool, t, cosine, values):
 @kernel(allocates=False)
 def _density(pool, t, wi, wo, mirror):
     table = pdf_table(pool, t, wo, wi)
-    return (1.0 - mirror) * ((1.0 - _DEFENSIVE) * table + _DEFENSIVE * wi[2] / math.pi)
+    return (1.0 - mirror) * ((1.0 - DEFENSIVE) * table + DEFENSIVE * wi[2] / math.pi)
 
 
 @kernel(allocates=False)
@@ -66,10 +67,10 @@ def tabulated_sample(pool, t, wo, u0, u1, u2, values):
             return mirror, red, red, red, 0.0
         return mirror, red, values[1] / chance, values[2] / chance, 0.0
     u0 = (u0 - chance) / (1.0 - chance)
-    if u0 < _DEFENSIVE:
+    if u0 < DEFENSIVE:
         wi = cosine_hemisphere(u1, u2)
     else:
-        wi, density = sample_table(pool, t, wo, u1, u2, (u0 - _DEFENSIVE) / (1.0 - _DEFENSIVE))
+        wi, density = sample_table(pool, t, wo, u1, u2, (u0 - DEFENSIVE) / (1.0 - DEFENSIVE))
         if density <= 0.0:
             return wi, 0.0, 0.0, 0.0, 0.0
     red, green, blue, density = tabulated_evaluate(pool, t, wi, wo, values)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from fitting.result import Fit
+from gonio.table.anisotropic import AnisotropicTable
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 from microgeometry.indices import refractive_index
@@ -25,7 +26,7 @@ _INDICES = {
 }  # fmt: skip
 
 
-def check_channels(node: Node, path: Path, content: Table | Fit) -> None:
+def check_channels(node: Node, path: Path, content: Table | AnisotropicTable | Fit) -> None:
     """Refuse a file whose channels are no colours."""
     try:
         rgb_weights(content.channels, content.wavelengths_nm, str(path))

@@ -15,6 +15,7 @@ BENCHMARKS = {
     "compress": "gonio.bench.compress",
     "sample": "gonio.bench.sample",
     "peak": "gonio.bench.peak",
+    "anisotropic": "gonio.bench.anisotropic",
 }
 """Name to module; a module has ``run(say) -> dict``."""
 

@@ -20,6 +20,7 @@ from gonio.table.parts import extract
 from microgeometry.errors import InputError
 
 if TYPE_CHECKING:
+    from gonio.table.anisotropic import AnisotropicTable
     from gonio.table.table import Table
 
 FORMATS: dict[str, tuple[str, ...]] = {
@@ -65,13 +66,26 @@ class Conversion:
 
 
 def read(path: str | os.PathLike[str]) -> Table:
-    """Read a table from a file of any known format.
+    """Read an isotropic table from a file of any known format.
 
     Raises
     ------
     InputError
-        The file is missing, of an unknown suffix, damaged or not a table.
+        The file is missing, of an unknown suffix, damaged or not a table, or the table is anisotropic.
     """
+    from gonio.table.table import Table
+
+    table = read_any(path)
+    if not isinstance(table, Table):
+        raise InputError(
+            f"{path}: an anisotropic table, and this takes isotropic ones; `gonio info`, `check` and `render` take "
+            "it as it is; for all else trace the specimen without anisotropic = true in [grid]"
+        )
+    return table
+
+
+def read_any(path: str | os.PathLike[str]) -> Table | AnisotropicTable:
+    """Read a table, isotropic or not, from a file of any known format; errors as `read`, but the last."""
     path = Path(path)
     names = _names(path)
     if not path.is_file():
@@ -87,7 +101,7 @@ def read(path: str | os.PathLike[str]) -> Table:
         raise InputError("".join(c if c.isprintable() else " " for c in text)) from error
 
 
-def write(table: Table, path: str | os.PathLike[str]) -> list[str]:
+def write(table: Table | AnisotropicTable, path: str | os.PathLike[str]) -> list[str]:
     """Write a table in the format of the suffix of `path`; nothing half-written stays on failure.
 
     Returns
@@ -102,6 +116,10 @@ def write(table: Table, path: str | os.PathLike[str]) -> list[str]:
     OSError
         The file cannot be written.
     """
+    from gonio.table.table import Table
+
+    if not isinstance(table, Table):
+        check_anisotropic_target(path)
     return _writer(Path(path)).write(table, Path(path))
 
 
@@ -154,6 +172,20 @@ def check_target(path: str | os.PathLike[str]) -> None:
     _writer(path)
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
+
+
+def check_anisotropic_target(path: str | os.PathLike[str]) -> None:
+    """Fail where an anisotropic table cannot be written to `path`.
+
+    Raises
+    ------
+    InputError
+        The suffix is not .h5.
+    """
+    if Path(path).suffix.lower() != ".h5":
+        raise InputError(
+            f"{path}: an anisotropic table can only be written as .h5; choose a name that ends so"
+        )
 
 
 def _names(path: Path) -> tuple[str, ...]:

@@ -17,18 +17,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from gonio.files import atomic
+from gonio.formats import hdf5_anisotropic
 from gonio.formats.hdf5_content import write_content
+from gonio.formats.hdf5_data import at, child, read_array, read_channels, read_json, write_data, write_scale
 from gonio.formats.hdf5_heaps import check_heaps
+from gonio.table.anisotropic import AnisotropicTable
 from gonio.table.peak import Peak
 from gonio.table.table import Table
 from microgeometry.errors import InputError
@@ -65,18 +66,16 @@ _DATA: dict[str, tuple[tuple[str, ...], str]] = {
 _OPTIONAL = {"theta_i_edges", "std_error", "hits", "gaps", "wavelengths_nm"}
 _PEAK_SCALES = {"theta_i": "rad", "slope": "1", "psi": "rad", "slope_edges": "1", "psi_edges": "rad"}
 _PEAK_AXES = ("theta_i", "slope", "psi", "channel")
-# Deflate cannot shrink more than this; a dataset that claims more is damaged or hostile.
-_MAX_RATIO = 1100
 _LARGEST = 2**30  # bytes of an array from a codec that can shrink without limit
 _MAX_DEPTH = 8  # of parts in parts: in a damaged file a group may hold itself
 
 
-def write(table: Table, path: Path, compressed: Compressed | None = None) -> list[str]:
+def write(table: Table | AnisotropicTable, path: Path, compressed: Compressed | None = None) -> list[str]:
     """Write a table; nothing is lost.
 
     Parameters
     ----------
-    table : Table
+    table : Table or AnisotropicTable
     path : Path
     compressed : mapping of str to mapping, optional
         Content of the group ``compressed`` that stands in for ``values``: arrays become datasets, numbers
@@ -95,8 +94,11 @@ def write(table: Table, path: Path, compressed: Compressed | None = None) -> lis
     """
     # Built in memory: HDF5 does not survive a disk that fills while it writes, a plain write does
     with h5py.File(path.name, "w", driver="core", backing_store=False, libver="v110") as file:
-        file.attrs.update(format=FORMAT, version=VERSION, conventions=_CONVENTIONS)
-        _write(file, table, compressed)
+        if isinstance(table, AnisotropicTable):
+            hdf5_anisotropic.write(file, table)
+        else:
+            file.attrs.update(format=FORMAT, version=VERSION, conventions=_CONVENTIONS)
+            _write(file, table, compressed)
         file.flush()
         image = file.id.get_file_image()
     with atomic(path) as temporary:
@@ -104,7 +106,7 @@ def write(table: Table, path: Path, compressed: Compressed | None = None) -> lis
     return []
 
 
-def read(path: Path) -> Table:
+def read(path: Path) -> Table | AnisotropicTable:
     """Read a table.
 
     Raises
@@ -119,7 +121,8 @@ def read(path: Path) -> Table:
     check_heaps(path)
     try:
         with h5py.File(path, "r") as file:
-            _check_format(file, path)
+            if _is_anisotropic(file, path):
+                return hdf5_anisotropic.read(file, path)
             return _read(file, path)
     except InputError as error:
         text = str(error)
@@ -146,13 +149,13 @@ def _write(group: h5py.Group, table: Table, compressed: Compressed | None, path:
     group.attrs.update(ledger=json.dumps(dict(table.ledger)), provenance=json.dumps(dict(table.provenance)))
     for name, unit in _SCALES.items():
         if (axis := getattr(table, name)) is not None:
-            _write_scale(group, name, axis, unit)
-    _write_scale(group, "channel", np.array(table.channels, h5py.string_dtype()), "")
+            write_scale(group, name, axis, unit)
+    write_scale(group, "channel", np.array(table.channels, h5py.string_dtype()), "")
     for name, (axes, unit) in _DATA.items():
         data = getattr(table, name)
         if data is None or (name == "values" and content is not None):
             continue
-        _write_data(group, name, np.asarray(data), axes, unit)
+        write_data(group, name, np.asarray(data), axes, unit)
     if table.peak is not None:
         _write_peak(group.create_group("peak"), table, table.peak)
     if content is not None:
@@ -174,18 +177,18 @@ def _write_peak(group: h5py.Group, table: Table, peak: Peak) -> None:
         **middles,
     }
     for name, unit in _PEAK_SCALES.items():
-        _write_scale(group, name, scales[name], unit)
-    _write_scale(group, "channel", np.array(table.channels, h5py.string_dtype()), "")
+        write_scale(group, name, scales[name], unit)
+    write_scale(group, "channel", np.array(table.channels, h5py.string_dtype()), "")
     for name in ("values", "std_error"):
         if (data := getattr(peak, name)) is not None:
-            _write_data(group, name, data, _PEAK_AXES, "1")
+            write_data(group, name, data, _PEAK_AXES, "1")
 
 
 def _read_peak(group: h5py.Group, path: Path, where: str) -> Peak:
     fields = {}
     for name in ("values", "slope_edges", "psi_edges", "std_error"):
         if name in group:
-            fields[name] = _read_array(group[name], where + name, path, "fiu")
+            fields[name] = read_array(group[name], where + name, path, "fiu")
         elif name != "std_error":
             raise InputError(
                 f"{path}: dataset {where}{name} is missing; the file is incomplete, trace it again"
@@ -193,31 +196,10 @@ def _read_peak(group: h5py.Group, path: Path, where: str) -> Peak:
     return Peak(**fields)
 
 
-def _write_scale(group: h5py.Group, name: str, data: NDArray, unit: str) -> None:
-    group[name] = data
-    group[name].make_scale(name)
-    if unit:
-        group[name].attrs["units"] = unit
-
-
-def _write_data(group: h5py.Group, name: str, data: NDArray, axes: tuple[str, ...], unit: str) -> None:
-    options: dict[str, Any] = {}
-    if data.ndim >= 2:
-        # One row of incidence a chunk, as large as one is read at a time. Level 1: level 4 saves 2 % more.
-        chunks = (1, *data.shape[1:]) if data.ndim >= 3 else data.shape
-        options = {"chunks": chunks, "shuffle": True, "compression": "gzip", "compression_opts": 1}
-    if data.dtype == bool:
-        data = data.astype(np.uint8)
-    dataset = group.create_dataset(name, data=data, **options)
-    dataset.attrs["units"] = unit
-    for axis, scale in enumerate(axes):
-        dataset.dims[axis].label = scale
-        dataset.dims[axis].attach_scale(group[scale])
-
-
-def _check_format(file: h5py.File, path: Path) -> None:
+def _is_anisotropic(file: h5py.File, path: Path) -> bool:
+    """Check what the file says it is."""
     found = file.attrs.get("format")
-    if not isinstance(found, str) or found != FORMAT:
+    if not isinstance(found, str) or found not in (FORMAT, hdf5_anisotropic.FORMAT):
         names = ", ".join(sorted(file)[:6]) or "nothing"
         raise InputError(
             f"{path}: an HDF5 file of something else (it holds {names}); a BRDF table has the attribute "
@@ -229,6 +211,7 @@ def _check_format(file: h5py.File, path: Path) -> None:
         raise InputError(f"{path}: attribute version is {version!r}; {VERSION!r} is expected; trace it again")
     if int(major) > int(VERSION.partition(".")[0]):
         raise InputError(f"{path}: table version {version} is newer than {VERSION}, update gonio to read it")
+    return found == hdf5_anisotropic.FORMAT
 
 
 def _read(group: h5py.Group, path: Path, where: str = "") -> Table:
@@ -245,85 +228,34 @@ def _read(group: h5py.Group, path: Path, where: str = "") -> Table:
             raise InputError(
                 f"{path}: dataset {where}{name} is missing; the file is incomplete, trace it again"
             )
-        fields[name] = _read_array(group[name], where + name, path, kinds.get(name, "fiu"))
-    fields["channels"] = _read_channels(group, path, where)
+        fields[name] = read_array(group[name], where + name, path, kinds.get(name, "fiu"))
+    fields["channels"] = read_channels(group, path, where)
     for name in ("ledger", "provenance"):
-        try:
-            fields[name] = json.loads(group.attrs.get(name, "{}"))
-        except (TypeError, ValueError):
-            fields[name] = None
-        if not isinstance(fields[name], dict):
-            raise InputError(
-                f"{path}: attribute {where}{name} is no JSON object; copy or trace the file again"
-            )
+        fields[name] = read_json(group, name, path, where)
     if compressed:
         from gonio.table.compress import decode  # which writes through this module
 
-        inner = _child(group, "compressed", path, where)
+        inner = child(group, "compressed", path, where)
         content = dict(inner.attrs)
         # an array that a codec packs to nothing may still be as large as the table that its axes span
         room = 4 * math.prod(len(fields[name]) for name in ("theta_i", "theta_r_edges", "delta_phi_edges"))
         room = min(room * len(fields["channels"]), _LARGEST)
         for name, item in inner.items():
-            content[name] = _read_array(item, f"{where}compressed/{name}", path, "fiu", room)
-        with _at(where):
+            content[name] = read_array(item, f"{where}compressed/{name}", path, "fiu", room)
+        with at(where):
             fields["values"] = decode(content, fields)
     if (wavelengths := fields.get("wavelengths_nm")) is not None:
         fields["wavelengths_nm"] = tuple(np.ravel(wavelengths).tolist())
     if "peak" in group:
-        with _at(where):
-            fields["peak"] = _read_peak(_child(group, "peak", path, where), path, f"{where}peak/")
+        with at(where):
+            fields["peak"] = _read_peak(child(group, "peak", path, where), path, f"{where}peak/")
     if "parts" in group:
-        fields["parts"] = _read_parts(_child(group, "parts", path, where), path, f"{where}parts/")
-    with _at(where):
+        fields["parts"] = _read_parts(child(group, "parts", path, where), path, f"{where}parts/")
+    with at(where):
         return Table(**fields)
 
 
 def _read_parts(parts: h5py.Group, path: Path, where: str) -> dict[str, Table]:
     if (where.count("/") + 1) // 2 > _MAX_DEPTH:
         raise InputError(f"{path}: {where}: parts in parts, {_MAX_DEPTH} deep; trace the file again")
-    return {name: _read(_child(parts, name, path, where), path, f"{where}{name}/") for name in parts}
-
-
-@contextmanager
-def _at(where: str) -> Iterator[None]:
-    """Put the place in the file in front of errors that only know the field."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{where}{error}") from error
-
-
-def _child(group: h5py.Group, name: str, path: Path, where: str) -> h5py.Group:
-    child = group[name]
-    if not isinstance(child, h5py.Group):
-        raise InputError(f"{path}: {where}{name} is a dataset; a group is expected; trace the file again")
-    return child
-
-
-def _read_array(dataset: Any, name: str, path: Path, kinds: str, room: int = 0) -> NDArray:
-    if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in kinds:
-        found = dataset.dtype if isinstance(dataset, h5py.Dataset) else "a group"
-        want = "integers" if "f" not in kinds else "numbers"
-        raise InputError(f"{path}: dataset {name} holds {found}; {want} are expected")
-    if dataset.nbytes > max(_MAX_RATIO * path.stat().st_size, room):
-        raise InputError(
-            f"{path}: dataset {name} claims shape {dataset.shape}, more than a file of "
-            f"{path.stat().st_size} bytes can hold; copy or trace the file again"
-        )
-    try:
-        return dataset[()]
-    except OSError as error:
-        reason = " ".join(str(error).split())
-        raise InputError(
-            f"{path}: dataset {name} is damaged or truncated ({reason}); copy or trace the file again"
-        ) from error
-
-
-def _read_channels(group: h5py.Group, path: Path, where: str) -> tuple[str, ...]:
-    dataset = group.get("channel")
-    if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind != "O" or dataset.ndim != 1:
-        raise InputError(
-            f"{path}: dataset {where}channel is missing or not a list of names; trace the file again"
-        )
-    return tuple(dataset.asstr()[()])
+    return {name: _read(child(parts, name, path, where), path, f"{where}{name}/") for name in parts}

@@ -247,7 +247,7 @@ def pdf_table(pool, t, wi, wo):
 
 
 @kernel(allocates=False)
-def _invert(p, q, s):
+def invert_linear(p, q, s):
     """Where on a unit segment of linear density from p to q the mass s is reached (equation 5)."""
     root = p + math.sqrt(max(0.0, p * p + 2.0 * (q - p) * s))
     if root <= 0.0:
@@ -272,7 +272,7 @@ def _sample_u(pool, t, row, uniform):
             high = middle
     at = first + 2 * low
     s = (target - pool.marginal[at + 1]) / (pool.axes[axis + low + 1] - pool.axes[axis + low])
-    return low, _invert(pool.marginal[at], pool.marginal[at + 2], s)
+    return low, invert_linear(pool.marginal[at], pool.marginal[at + 2], s)
 
 
 @kernel(allocates=False)
@@ -298,7 +298,7 @@ def _sample_phi(pool, t, row, k, x, uniform):
     below = (1.0 - x) * mean[inner + at + 1] + x * mean[outer + at + 1]
     p = (1.0 - x) * mean[inner + at] + x * mean[outer + at]
     q = (1.0 - x) * mean[inner + at + 2] + x * mean[outer + at + 2]
-    return low, _invert(p, q, (target - below) / (pool.axes[axis + low + 1] - pool.axes[axis + low]))
+    return low, invert_linear(p, q, (target - below) / (pool.axes[axis + low + 1] - pool.axes[axis + low]))
 
 
 @kernel(allocates=False)

@@ -180,10 +180,10 @@ def _layout(function: _Function) -> tuple[tuple[int, int, int, int], list[NDArra
         factor = np.divide(target, integral, out=np.zeros(n_channels), where=integral > 0)
         mean[row, :, :, 0] = values[row] @ (factor / n_channels)
         fbar = mean[row, :, :, 0].astype(float)
-        mean[row, :, :, 1] = _cumulative(fbar, phi)
+        mean[row, :, :, 1] = cumulative(fbar, phi)
         # from the rounded cumulative sums, so that marginal and conditional agree to the last bit
         marginal[row, :, 0] = fbar @ weight_phi
-        marginal[row, :, 1] = _cumulative(marginal[row, :, 0], u)
+        marginal[row, :, 1] = cumulative(marginal[row, :, 0], u)
         rows[row, 0] = marginal[row, -1, 1]
         rows[row, 1:] = np.concatenate([factor, factor * integral, function.specular[source]])
     buckets = np.concatenate([_buckets(u_i, 1.0), _buckets(u, 1.0), _buckets(phi, np.pi)])
@@ -232,7 +232,7 @@ def trapezoid_weights(nodes: NDArray) -> NDArray[np.float64]:
     return weights
 
 
-def _cumulative(values: NDArray, nodes: NDArray) -> NDArray:
+def cumulative(values: NDArray, nodes: NDArray) -> NDArray:
     """Integral of the piecewise linear function up to each node, along the last axis."""
     masses = 0.5 * (values[..., 1:] + values[..., :-1]) * np.diff(nodes)
     return np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(masses, axis=-1)], axis=-1)

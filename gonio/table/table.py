@@ -211,8 +211,13 @@ class Table:
         return Table(**{f.name: changes.get(f.name, getattr(self, f.name)) for f in fields(self)})
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Table:
+    def load(cls, path: str | os.PathLike[str]) -> Any:
         """Read a table from a file of any format known by its suffix; see `gonio.formats`.
+
+        Returns
+        -------
+        Table or AnisotropicTable
+            The latter from an .h5 that holds one.
 
         Raises
         ------
@@ -221,7 +226,7 @@ class Table:
         """
         from gonio import formats  # the formats are built on this class
 
-        return formats.read(path)
+        return formats.read_any(path)
 
     def save(self, path: str | os.PathLike[str]) -> list[str]:
         """Write the table in the format of the suffix (.h5 keeps everything); see `gonio.formats`.
@@ -258,7 +263,7 @@ class Table:
         ndarray, shape (..., C)
             f_r in 1/sr; 0 where a direction is below the horizon.
         """
-        wi, wo, shape = _flat(wi, wo)
+        wi, wo, shape = flat(wi, wo)
         out = np.empty((len(wi), len(self.channels)))
         many.eval_many(self.pool, 0, wi, wo, out)
         return out.reshape(*shape, -1)
@@ -279,14 +284,14 @@ class Table:
         pdf : ndarray, shape (...)
             Per solid angle; 0 marks a sample to be discarded (nothing is reflected).
         """
-        wi, u, shape = _flat(wi, u)
+        wi, u, shape = flat(wi, u)
         wo, pdf = np.empty_like(wi), np.empty(len(wi))
         many.sample_many(self.pool, 0, wi, u, wo, pdf)
         return wo.reshape(*shape, 3), pdf.reshape(shape)
 
     def pdf(self, wi: ArrayLike, wo: ArrayLike) -> Array:
         """Density per solid angle with which `sample` draws `wo`, shape (...); directions as in `eval`."""
-        wi, wo, shape = _flat(wi, wo)
+        wi, wo, shape = flat(wi, wo)
         out = np.empty(len(wi))
         many.pdf_many(self.pool, 0, wi, wo, out)
         return out.reshape(shape)
@@ -310,7 +315,7 @@ class Table:
         return (albedo + specular).reshape(*cos_i.shape, -1)
 
 
-def _flat(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:
+def flat(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:
     """Two arrays of triples, broadcast and flattened to shape (N, 3), and the shape they had."""
     a, b = np.broadcast_arrays(np.asarray(a, float), np.asarray(b, float))
     if a.shape[-1:] != (3,):

@@ -15,6 +15,7 @@ from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, HIT_U, HIT_V, PACKET_WIDTH, n
 from gonio.core.jit import kernel
 from gonio.core.lookup import Axis, find
 from gonio.core.philox import uniforms
+from gonio.table.tilts import to_tilts
 from gonio.trace.interface import SCRATCH_ROWS
 from gonio.trace.layered import trace_path
 from gonio.trace.stack import UNIT, WIDTH_X, WIDTH_Y
@@ -57,6 +58,8 @@ class Bins(NamedTuple):
     """Numbers of bounces told apart; the last collects all beyond."""
     share: NDArray[np.float64]
     """(S,) weights that turn the energies of the samples into the mean over the table's channels."""
+    by_tilt: bool
+    """Of an anisotropic table: `theta` and `phi` are the edges of the tilts x and y (`gonio.table.tilts`)."""
 
 
 class Sums(NamedTuple):
@@ -80,6 +83,8 @@ class Beam(NamedTuple):
     sin2_lower: float
     sin2_upper: float
     """Equal bounds are one angle exactly."""
+    azimuth: float = math.nan
+    """Of all paths, radians; NaN: drawn for each, the specimen is turned at random."""
 
 
 class Part(NamedTuple):
@@ -153,7 +158,10 @@ def _trace_packets(
             embree, box, horizon, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path,
             weight, polarisation, axis, retreat, bounces, status, absorbed,
         )  # fmt: skip
-        _exit(packet, azimuth)
+        if bins.by_tilt:
+            _exit_by_tilt(packet, wi)
+        else:
+            _exit(packet, azimuth)
         for lane in range(PACKET_WIDTH):
             x, y = packet[DIR_X, lane], packet[DIR_Y, lane]
             # a facet parallel to the macroscopic plane leaves these two components untouched, to the bit;
@@ -235,7 +243,10 @@ def _trace_paths(
             sums.ledger[RAYS] += rays
             for s in range(weight.shape[0]):
                 weight[s] = light[s, 0]
-            sin2, cosine = _coordinates(wo[0], wo[1], wo[2], azimuth)
+            if bins.by_tilt:
+                sin2, cosine = _tilts(wi, wo[0], wo[1], wo[2])
+            else:
+                sin2, cosine = _coordinates(wo[0], wo[1], wo[2], azimuth)
             joined = joined and status == REFLECTED
             _count(to_channels, bins, sums, sin2, cosine, status, bounces, straight, joined, weight)
             if bins.peak >= 0 and status == REFLECTED and not straight:
@@ -279,6 +290,8 @@ def _incident(beam, u, v):
     """Direction to the light from two uniform numbers, and (cos, sin) of its azimuth, even on the normal."""
     sin2 = beam.sin2_lower + u * (beam.sin2_upper - beam.sin2_lower)
     sine = math.sqrt(sin2)
+    if not math.isnan(beam.azimuth):
+        v = beam.azimuth / (2.0 * math.pi)
     azimuth = math.cos(2.0 * math.pi * v), math.sin(2.0 * math.pi * v)
     return (sine * azimuth[0], sine * azimuth[1], math.sqrt(1.0 - sin2)), azimuth
 
@@ -304,6 +317,22 @@ def _exit(packet, azimuth):
         sin2, cosine = _coordinates(packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane], azimuth)
         packet[HIT_U, lane] = sin2
         packet[HIT_V, lane] = cosine
+
+
+@kernel(allocates=False)
+def _tilts(wi, x, y, z):
+    """Tilts x and -y of a direction, turned up at the plane if it leaves below: in place of `_coordinates`."""
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+    tilt_x, tilt_y, _ = to_tilts(wi, (scale * x, scale * y, scale * abs(z)))
+    return tilt_x, -tilt_y
+
+
+@kernel(allocates=False)
+def _exit_by_tilt(packet, wi):
+    """`_tilts` of all 16 paths at once, in the rows HIT_U and HIT_V."""
+    for lane in range(PACKET_WIDTH):
+        x, y, z = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
+        packet[HIT_U, lane], packet[HIT_V, lane] = _tilts(wi, np.float64(x), np.float64(y), np.float64(z))
 
 
 @kernel(allocates=False)

@@ -12,6 +12,7 @@ from gonio.core.directions import projected_solid_angles
 from gonio.core.lookup import axis
 from gonio.core.parallel import for_each
 from gonio.trace.analog import RAYS, Beam, Bins, Part, Sums
+from gonio.trace.anisotropic import AnisotropicLayout
 from gonio.trace.estimators import ANALOG, HALF_VECTOR, NEXT_EVENT, roughness
 from gonio.trace.facets import measure_facets
 from gonio.trace.half_vector import HalfVector
@@ -98,6 +99,8 @@ class BatchTracer:
             self.theta_i_edges = None
             self.theta_i = np.radians(grid.theta_i_deg)
             self._sin2 = np.sin(self.theta_i) ** 2, np.sin(self.theta_i) ** 2
+        self.seconds = 0.0
+        self.anisotropic: AnisotropicLayout | None = None
         self._strata = 2 ** (job.exponent // 2), 2 ** (job.exponent - job.exponent // 2)
         self.paths_per_pass = 16 * 2**job.exponent
         looks = LOOKS if job.estimator == NEXT_EVENT else None
@@ -110,16 +113,28 @@ class BatchTracer:
             self.phi_edges[:: merged[1]],
         )
         self.bin_areas = projected_solid_angles(self.bin_theta_edges, self.bin_phi_edges)
-        self.peak = peak_grid(job.specimen, self.tracer) if job.estimator == ANALOG else None
+        self._azimuths = np.full(len(self.theta_i), np.nan)
+        edges = np.sin(self.bin_theta_edges) ** 2, -np.cos(self.bin_phi_edges)
+        self.peak = None
+        if grid.anisotropic:
+            self.anisotropic = AnisotropicLayout(job.specimen, self.tracer)
+            self.theta_i, self._azimuths = self.anisotropic.theta_i, self.anisotropic.phi_i
+            self._sin2 = np.sin(self.theta_i) ** 2, np.sin(self.theta_i) ** 2
+            edges = self.anisotropic.x_edges, self.anisotropic.y_edges
+            # cells are no boxes in angle: energies are counted, in units of 1 sr
+            self.areas = self.bin_areas = np.ones((self.anisotropic.cells, self.anisotropic.cells))
+        elif job.estimator == ANALOG:
+            self.peak = peak_grid(job.specimen, self.tracer)
         slope_edges, psi_edges = self.peak or (np.array([0.0, 1.0]), np.array([0.0, np.pi]))
         self._bins = Bins(
-            axis(np.sin(self.bin_theta_edges) ** 2),
-            axis(-np.cos(self.bin_phi_edges)),
+            axis(edges[0]),
+            axis(edges[1]),
             axis(slope_edges),
             axis(-np.cos(psi_edges)),
             self.bin_areas.size if self.peak else -1,
             self._orders,
             self.tracer.stack.share,
+            grid.anisotropic,
         )
         self.looks: LambertLooks | None = None
         if looks is not None and self.tracer.optics is not None:
@@ -130,7 +145,6 @@ class BatchTracer:
             )  # fmt: skip
             # paths are counted, but in no cell
             self._bins = self._bins._replace(theta=axis([0.0, 1.0]), phi=axis([-1.0, 1.0]))
-        self.seconds = 0.0
 
     def new_tally(self) -> Tally:
         """An empty tally of this job's table."""
@@ -190,7 +204,7 @@ class BatchTracer:
             chunk, slot = divmod(unit, len(slots))
             place = slot, chunk
             row, number = slots[slot]
-            beam = Beam(row, float(self._sin2[0][row]), float(self._sin2[1][row]))
+            beam = Beam(row, float(self._sin2[0][row]), float(self._sin2[1][row]), float(self._azimuths[row]))
             part = Part(*self._strata, chunk * packets // chunks, (chunk + 1) * packets // chunks)
             own = cells[place] if self.looks is None else np.zeros((cells.shape[2], 1, cells.shape[4]))
             sums = Sums(own, specular[place], energy[place], ledger[place])

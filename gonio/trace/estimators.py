@@ -49,6 +49,12 @@ def choose(specimen: Specimen, seed: int, name: str | None = None) -> str:
         raise InputError(f"estimator: {name!r}; one of {', '.join(ESTIMATORS)} is allowed")
     if name == ANALOG:
         return ANALOG
+    if specimen.grid.anisotropic:
+        if name is not None:
+            raise InputError(
+                f"estimator: {name} does not do for anisotropic tables; use {ANALOG}, or leave the choice"
+            )
+        return ANALOG
     against = {HALF_VECTOR: _against_half_vector, NEXT_EVENT: _against_next_event}
     for estimator in against if name is None else (name,):
         reason = against[estimator](specimen, seed)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from typing import Protocol
+from typing import Any, Protocol
 
 from gonio.interrupt import uninterrupted
 from gonio.progress import Report
-from gonio.table.table import Table
 from gonio.trace.checkpoint import EVERY, Checkpoint
 from gonio.trace.measurement import Measurement
 from microgeometry.errors import InputError
@@ -35,7 +34,7 @@ def measure(
     resume: bool = False,
     dask: str | None = None,
     estimator: str | None = None,
-) -> Table:
+) -> Any:
     """Trace a specimen to a table.
 
     Parameters
@@ -68,7 +67,8 @@ def measure(
 
     Returns
     -------
-    Table
+    Table or AnisotropicTable
+        The latter where [grid] has anisotropic = true.
 
     Raises
     ------

@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.core.parallel import check_threads
 from gonio.interrupt import uninterrupted
-from gonio.table.table import Table
 from gonio.trace.batch import BatchTracer, Job
 from gonio.trace.combine import combine
 from gonio.trace.errors import TraceError
@@ -106,8 +106,7 @@ class Measurement:
         bounded = rays is not None or (seconds is None and target_error is None)
         if rays is None:
             rays = _DEFAULT_RAYS if seconds is None else max(1, int(seconds * _TRIAL_RATE))
-        grid = specimen.grid
-        rows = round(90 / grid.theta_step_deg) if grid.theta_i_deg is None else len(grid.theta_i_deg)
+        rows = specimen.grid.n_rows
         # decisions fall between batches: with a target there are more of them, and of a large budget no larger ones
         share = rays if target_error is None else min(rays, _DEFAULT_RAYS) // _ROUNDS
         exponent = 0
@@ -171,8 +170,8 @@ class Measurement:
             self.seconds += time.perf_counter() - started
         self._check_lost(1e-3)
 
-    def table(self) -> Table:
-        """The table of all batches so far.
+    def table(self) -> Any:
+        """The table of all batches so far; an `AnisotropicTable` where [grid] asks for one.
 
         Raises
         ------

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio import formats
 from gonio.core.embree import Handle
 from gonio.core.phase import HG, ISOTROPIC, RAYLEIGH, TABULATED, tabulated_cdf
 from gonio.table.pool import Pool, pool_tables
@@ -217,7 +218,7 @@ def _pack_facets(specimen: Specimen, eta: Array) -> tuple[Facets, list[Table]]:
 
 def _table_of_facets(material: TableMaterial, specimen: Specimen) -> Table:
     """A table with the specimen's samples for channels."""
-    table, grid = Table.load(material.file), specimen.grid
+    table, grid = formats.read(material.file), specimen.grid
     samples = grid.n_samples
     if len(table.channels) == samples and table.wavelengths_nm in (None, grid.samples_nm):
         return table

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gonio.table.anisotropic import AnisotropicTable
 from gonio.table.checks import relative_noise
 from gonio.table.parts import TRANSMISSION, order_names
 from gonio.table.peak import Peak
 from gonio.table.table import Table
+from gonio.trace.anisotropic import tabulate_anisotropic
 from gonio.trace.batch import BatchTracer
 from gonio.trace.sheets import Sheet
 from microgeometry.specimen import Specimen
@@ -26,10 +28,14 @@ _ONE_REALISATION = (
 )
 
 
-def tabulate(measurement: Measurement) -> Table:
+def tabulate(measurement: Measurement) -> Table | AnisotropicTable:
     """The table of a measurement's batches so far, at least one."""
     grid, tally = measurement.specimen.grid, measurement.tally
     ledger = {n: energy for n, energy in tally.ledger.items() if n not in measurement.tracer.empty_columns}
+    if measurement.batches.anisotropic is not None:
+        return tabulate_anisotropic(
+            measurement, measurement.batches.anisotropic, _provenance(measurement), ledger
+        )
     hemispheres: list[tuple[Sheet, dict[str, Table]]] = []
     for total, orders in zip(*measurement.light(), strict=True):
         names = order_names(grid.orders)

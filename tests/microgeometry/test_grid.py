@@ -3,6 +3,7 @@ import pytest
 
 from microgeometry.colour import rgb_matrix
 from microgeometry.errors import InputError
+from microgeometry.grid import ANISOTROPIC_THETA_I_DEG
 from microgeometry.specimen import parse_specimen
 
 MIRROR = {"kind": "mirror"}
@@ -128,3 +129,33 @@ def test_bad_grid(grid, message):
 def test_bad_colours(grid, message):
     with pytest.raises(InputError, match=message):
         grid_of(GOLD, grid)
+
+
+def test_anisotropic():
+    grid = grid_of(grid={"anisotropic": True})
+    assert (grid.anisotropic, grid.phi_i_step_deg, grid.tilt_cells) == (True, 10.0, 65)
+    assert grid.theta_i_deg == ANISOTROPIC_THETA_I_DEG
+    assert grid.n_rows == 17 * 36
+    given = grid_of(
+        grid={"anisotropic": True, "theta_i_deg": [0, 45], "phi_i_step_deg": 90, "tilt_cells": 33}
+    )
+    assert (given.theta_i_deg, given.phi_i_step_deg, given.tilt_cells) == ((0, 45), 90.0, 33)
+    assert given.n_rows == 8
+    assert (grid_of().anisotropic, grid_of().n_rows) == (False, 90)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"anisotropic": 1}, "must be true or false"),
+        ({"anisotropic": True, "phi_step_deg": 1}, "phi_step_deg.*no such cells"),
+        ({"anisotropic": True, "theta_step_deg": 1}, "theta_step_deg.*no such cells"),
+        ({"phi_i_step_deg": 10}, "phi_i_step_deg.*add anisotropic = true"),
+        ({"anisotropic": True, "phi_i_step_deg": 7}, "divide 360"),
+        ({"anisotropic": True, "tilt_cells": 64}, "must be odd"),
+        ({"anisotropic": True, "tilt_cells": 3}, "at least 9"),
+    ],
+)
+def test_anisotropic_keys_are_checked(keys, message):
+    with pytest.raises(InputError, match=message):
+        grid_of(grid=keys)

@@ -57,7 +57,7 @@ MATERIALS = {
 
 @kernel
 def _evaluate_many(materials, wi, wo, values, density):
-    memory = np.zeros(3)
+    memory = np.zeros(6)
     for n in range(len(wi)):
         a, b = (wi[n, 0], wi[n, 1], wi[n, 2]), (wo[n, 0], wo[n, 1], wo[n, 2])
         r, g, b, density[n] = evaluate(materials, 0, a, b, memory)
@@ -66,7 +66,7 @@ def _evaluate_many(materials, wi, wo, values, density):
 
 @kernel
 def _sample_many(materials, wo, u, wi, weight, density):
-    memory = np.zeros(3)
+    memory = np.zeros(6)
     for n in range(len(wo)):
         w, r, g, b, density[n] = sample(
             materials, 0, (wo[n, 0], wo[n, 1], wo[n, 2]), u[n, 0], u[n, 1], u[n, 2], memory

@@ -6,6 +6,7 @@ pair up). Verdicts by error bars use z-scores with one level for all comparisons
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +20,16 @@ from gonio.table.parts import TRANSMISSION, orders_of
 from gonio.table.table import Table
 from gonio.validation import FALSE_ALARM, sidak
 
-__all__ = ["Check", "CheckReport", "check", "map_noise", "noise_lines", "relative_noise"]
+__all__ = [
+    "Check",
+    "CheckReport",
+    "check",
+    "check_ledger",
+    "limit",
+    "map_noise",
+    "noise_lines",
+    "relative_noise",
+]
 
 Array = NDArray[np.float64]
 
@@ -46,10 +56,12 @@ def check(table: Table) -> CheckReport:
     for name, whole in (("the table", table), (TRANSMISSION, transmission)):
         if whole is not None and orders_of(whole):
             checks.append(_orders(whole, name))
-    return CheckReport((*checks, _positivity(table), _noise(table), check_resolution(table), _ledger(table)))
+    return CheckReport(
+        (*checks, _positivity(table), _noise(table), check_resolution(table), check_ledger(table.ledger))
+    )
 
 
-def _limit(n: int) -> float:
+def limit(n: int) -> float:
     """Standard deviations allowed one-sided over n comparisons, never fewer than 4."""
     return max(4.0, float(stats.norm.isf(sidak(FALSE_ALARM, n))))
 
@@ -65,7 +77,7 @@ def _energy(table: Table) -> Check:
     if table.luminance is not None:  # red of gold is above 1, its luminance is not
         channels = ("luminance",)
         energy, error = (energy @ table.luminance)[:, None], (error @ np.abs(table.luminance))[:, None]
-    allowed = 1.0 + _limit(energy.size) * error + 1e-6
+    allowed = 1.0 + limit(energy.size) * error + 1e-6
     worst = np.unravel_index(np.argmax(energy - allowed), energy.shape)
     passed = bool(np.all(energy <= allowed))
     detail = (
@@ -91,7 +103,7 @@ def _consistency(table: Table) -> Check:
     if table.std_error is not None:
         variance = variance + np.einsum("irpc,rp->ic", table.std_error**2, areas**2)
     # without error bars the albedo may come from elsewhere (a TIS line, a compressed file's rounding)
-    allowed = _limit(total.size) * np.sqrt(variance) + (
+    allowed = limit(total.size) * np.sqrt(variance) + (
         1e-6 if table.std_error is not None else 1e-2
     ) * np.abs(total)
     rows = np.ones(len(table.theta_i), bool) if table.gaps is None else ~table.gaps.any(axis=(1, 2))
@@ -131,7 +143,7 @@ def _positivity(table: Table) -> Check:
             specular @ table.luminance,
             error @ abs(table.luminance),
         )
-    negative = values < -_limit(values.size) * error - _ROUNDING * np.abs(table.values).max()
+    negative = values < -limit(values.size) * error - _ROUNDING * np.abs(table.values).max()
     count = int(np.count_nonzero(negative)) + int(np.count_nonzero(specular < -_ROUNDING))
     detail = f"{count} of {values.size} values are negative beyond their error"
     return Check("positivity", count == 0, detail, {"negative": count, "lowest": values.min()})
@@ -242,8 +254,8 @@ def relative_noise(table: Table) -> Array:
     return out
 
 
-def _ledger(table: Table) -> Check:
-    ledger = table.ledger
+def check_ledger(ledger: Mapping[str, float]) -> Check:
+    """Whether every path is accounted for, and hardly any lost."""
     if "paths" not in ledger:
         return Check("ledger", None, "the table has none: it was not traced")
     paths = float(ledger["paths"])

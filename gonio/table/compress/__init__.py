@@ -194,6 +194,7 @@ def compress(
     with atomic(path) as temporary:
         hdf5.write(_slim(table, facts), temporary, content)
         written = hdf5.read(temporary)
+        assert isinstance(written, Table)  # as it was written
         decoded = {"": written, **dict(walk(written))}
         errors = {part: row_errors(t, decoded[part].values) for part, t in tables.items()}
         worst = max(float(excess(t, decoded[part].values, bounds[part]).max()) for part, t in tables.items())

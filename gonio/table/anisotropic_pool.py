@@ -1,0 +1,176 @@
+"""Anisotropic tables laid out for the kernels of `gonio.table.anisotropic_interpolation`.
+
+As `gonio.table.pool`: several tables in one set of flat arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.core.directions import direction
+from gonio.core.jit import kernel
+from gonio.core.parallel import for_each
+from gonio.table.pool import cumulative, trapezoid_weights
+from gonio.table.tilts import from_tilts, to_tilts
+
+if TYPE_CHECKING:
+    from gonio.table.anisotropic import AnisotropicTable
+
+Array = NDArray[np.float64]
+
+GRAZING = 0.01
+"""Cosine below which the factor that is interpolated stays what it is there."""
+
+# Columns of AnisotropicPool.header
+A_THETA, A_PHI, A_X, A_Y, A_CHANNELS, A_VALUES, A_MEAN, A_AXES, A_ROWS, A_MARGINAL, N_COLUMNS = range(11)
+
+
+class AnisotropicPool(NamedTuple):
+    """Tables as flat arrays; which part belongs to which table stands in `header`.
+
+    Parameters
+    ----------
+    header : ndarray of int64, shape (tables, N_COLUMNS)
+        Sizes (angles theta_i, angles phi_i, nodes in x, nodes in y, channels), first index into each array below.
+    values : ndarray of float32
+        f cos(theta_i) cos(theta_o) at the nodes, (theta_i, phi_i, x, y, channel), each row and channel divided
+        by its maximum.
+    mean : ndarray of float32
+        (theta_i, phi_i, x, y, 2): the channel mean's energy per dx dy, and its cumulative integral over y.
+    axes : ndarray of float64
+        Nodes: theta_i, x, y, radians.
+    rows : ndarray of float64
+        (theta_i, phi_i, 1 + 3 C): the integral of `mean`, then per channel the factor on `values`, the albedo
+        without delta term, and the delta term.
+    marginal : ndarray of float64
+        (theta_i, phi_i, x, 2): `mean` integrated over y, and the cumulative integral of that over x.
+    """
+
+    header: NDArray[np.int64]
+    values: NDArray[np.float32]
+    mean: NDArray[np.float32]
+    axes: Array
+    rows: Array
+    marginal: Array
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        return sum(array.nbytes for array in self)
+
+
+def pool_anisotropic(tables: Sequence[AnisotropicTable]) -> AnisotropicPool:
+    """Lay out tables for the kernels; table t of the list is table t there.
+
+    Parameters
+    ----------
+    tables : sequence of AnisotropicTable
+        May be empty.
+
+    Returns
+    -------
+    AnisotropicPool
+        About 4 bytes x (channels + 2) per cell.
+    """
+    layouts = [_layout(table) for table in tables]
+    header = np.zeros((len(layouts), N_COLUMNS), np.int64)
+    for t, (sizes, _) in enumerate(layouts):
+        header[t, :A_VALUES] = sizes
+        if t > 0:
+            header[t, A_VALUES:] = header[t - 1, A_VALUES:] + [a.size for a in layouts[t - 1][1]]
+    dtypes = (np.float32, np.float32, np.float64, np.float64, np.float64)
+    if len(layouts) == 1:  # tens of megabytes: not twice
+        return AnisotropicPool(header, *(a.ravel() for a in layouts[0][1]))
+    flat = [
+        np.concatenate([arrays[n].ravel() for _, arrays in layouts] or [np.zeros(0, dtype)])
+        for n, dtype in enumerate(dtypes)
+    ]
+    return AnisotropicPool(header, *flat)
+
+
+def _layout(table: AnisotropicTable) -> tuple[tuple[int, ...], list[NDArray]]:
+    """Sizes and arrays of one table, in the order of the pool's fields."""
+    x_edges, y_edges = table.tilt_x_edges, table.tilt_y_edges
+    x, y = _nodes(x_edges), _nodes(y_edges)
+    weight_y = trapezoid_weights(y)
+    n_theta, n_phi, _, _, n_channels = table.energy.shape
+    areas = np.outer(np.diff(x_edges), np.diff(y_edges))
+    values = np.zeros((n_theta, n_phi, len(x), len(y), n_channels), np.float32)
+    mean = np.zeros((n_theta, n_phi, len(x), len(y), 2), np.float32)
+    rows = np.zeros((n_theta, n_phi, 1 + 3 * n_channels))
+    marginal = np.zeros((n_theta, n_phi, len(x), 2))
+
+    def lay(row: int) -> None:
+        a, b = divmod(row, n_phi)
+        energy = np.maximum(table.energy[a, b], 0.0).astype(float)
+        wi = tuple(direction(table.theta_i[a], table.phi_i[b]).tolist())
+        weights = np.zeros((2 * areas.shape[0], 2 * areas.shape[1]))
+        measure(wi, x_edges, y_edges, weights)
+        cells = weights.reshape(areas.shape[0], 2, areas.shape[1], 2).sum(axis=(1, 3))
+        nodes = energy / cells[..., None]
+        largest = np.maximum(nodes.max(axis=(0, 1)), np.finfo(float).tiny)
+        inner = values[a, b, 1:-1, 1:-1]
+        inner[...] = nodes / largest
+        integral = np.zeros(n_channels)
+        integrate(values[a, b], x, y, x_edges, y_edges, weights, integral)
+        target = np.maximum(table.row_albedo[a, b] - table.specular[a, b], 0.0)
+        factor = np.divide(target, integral, out=np.zeros(n_channels), where=integral > 0)
+        density = mean[a, b, :, :, 0]
+        density[1:-1, 1:-1] = energy.mean(axis=2) / areas
+        fbar = density.astype(float)
+        mean[a, b, :, :, 1] = cumulative(fbar, y)
+        # from the rounded sums, so that marginal and conditional agree to the last bit
+        marginal[a, b, :, 0] = fbar @ weight_y
+        marginal[a, b, :, 1] = cumulative(marginal[a, b, :, 0], x)
+        rows[a, b, 0] = marginal[a, b, -1, 1]
+        rows[a, b, 1:] = np.concatenate([factor, factor * integral, table.specular[a, b]])
+
+    for_each(lay, n_theta * n_phi, None)
+    sizes = (n_theta, n_phi, len(x), len(y), n_channels)
+    return sizes, [values, mean, np.concatenate([table.theta_i, x, y]), rows, marginal]
+
+
+def _nodes(edges: Array) -> Array:
+    """Middles of the cells, and both ends, where everything is 0: they are the horizon."""
+    return np.concatenate([edges[:1], 0.5 * (edges[1:] + edges[:-1]), edges[-1:]])
+
+
+@kernel(allocates=False)
+def measure(wi, x_edges, y_edges, weights):
+    """Of each quarter of a cell: its projected solid angle over cos(theta_i) cos(theta_o), as `GRAZING` bounds them.
+
+    Parameters
+    ----------
+    weights : ndarray, shape (2 X, 2 Y)
+        Receives it; by the middle of the quarter.
+    """
+    cos_i = max(wi[2], GRAZING)
+    for j in range(weights.shape[0]):
+        step_x = 0.5 * (x_edges[j // 2 + 1] - x_edges[j // 2])
+        x = x_edges[j // 2] + (j % 2 + 0.5) * step_x
+        for k in range(weights.shape[1]):
+            step_y = 0.5 * (y_edges[k // 2 + 1] - y_edges[k // 2])
+            wo = from_tilts(wi, x, y_edges[k // 2] + (k % 2 + 0.5) * step_y)
+            _, _, density = to_tilts(wi, wo)
+            weights[j, k] = step_x * step_y / density * wo[2] / (cos_i * max(wo[2], GRAZING))
+
+
+@kernel(allocates=False)
+def integrate(values, x, y, x_edges, y_edges, weights, out):
+    """Sum of weights (of `measure`) times the bilinear function with these node values, one a channel."""
+    for j in range(weights.shape[0]):
+        at = x_edges[j // 2] + (j % 2 + 0.5) * 0.5 * (x_edges[j // 2 + 1] - x_edges[j // 2])
+        a = j // 2 + j % 2  # the node below
+        s = (at - x[a]) / (x[a + 1] - x[a])
+        for k in range(weights.shape[1]):
+            at = y_edges[k // 2] + (k % 2 + 0.5) * 0.5 * (y_edges[k // 2 + 1] - y_edges[k // 2])
+            b = k // 2 + k % 2
+            t = (at - y[b]) / (y[b + 1] - y[b])
+            for c in range(out.shape[0]):
+                low = (1.0 - t) * values[a, b, c] + t * values[a, b + 1, c]
+                high = (1.0 - t) * values[a + 1, b, c] + t * values[a + 1, b + 1, c]
+                out[c] += weights[j, k] * ((1.0 - s) * low + s * high)
