@@ -74,10 +74,9 @@ def combine(
         The result does not depend on it.
     """
     shape = len(batches.theta_i), *batches.areas.shape, -1
-    values, std_error, *_ = half_vector.cells(
-        batches.theta_i, batches.theta_i_edges, batches.theta_edges, batches.phi_edges, batches.areas.ravel(),
-        threads,
-    )  # fmt: skip
+    values, std_error = half_vector.cells(
+        batches.theta_i, batches.theta_i_edges, batches.theta_edges, batches.phi_edges, threads
+    )
     estimates = [(values.reshape(shape), std_error.reshape(shape))]
     counted = tally.orders[0]
     _anchor(*estimates[0], counted[0], batches)

@@ -114,10 +114,9 @@ class HalfVector:
         theta_i_edges: Array | None,
         theta_r_edges: Array,
         delta_phi_edges: Array,
-        omega: Array,
         threads: int | None = None,
-    ) -> tuple[Array, Array, Array, Array]:
-        """Cell averages of the BRDF of single bounces, and the energy of the rows; at least two batches.
+    ) -> tuple[Array, Array]:
+        """Cell averages of the BRDF of single bounces; at least two batches.
 
         Parameters
         ----------
@@ -127,23 +126,20 @@ class HalfVector:
         theta_i_edges : ndarray or None, shape (I + 1,)
         theta_r_edges, delta_phi_edges : ndarray, shapes (R + 1,) and (P + 1,)
             Radians.
-        omega : ndarray, shape (R * P,)
-            Projected solid angles of the cells, sr.
         threads : int, optional
 
         Returns
         -------
         values, std_error : ndarray, shape (I, R * P, C)
             1/sr.
-        energy, energy_error : ndarray, shape (I, C)
-            Sum over cells of value times projected solid angle, and its standard error from batches.
         """
         alpha = self._nodes.alpha
         resolution = max(math.radians(1.0), _RESOLUTION * alpha)
         points = _points(theta_r_edges, resolution)
         # D is averaged over the tilts between two points, but over no more than hardly bends it
         between = min(0.5 * float(np.diff(theta_r_edges).max()) / points, 0.1 * alpha)
-        model = self._model(max(1, round(between / STEP)))
+        # an odd number of bins: an even one would not be centred, and half a bin off is 1 % of D at alpha 0.1
+        model = self._model(2 * round(0.5 * between / STEP) + 1)
 
         def rules(finer: int) -> tuple[Rule, Rule, Rule]:
             polar = finer * points
@@ -157,18 +153,15 @@ class HalfVector:
 
         fast, fine = rules(1), rules(4)
         coarse = _FINE_SPREAD * resolution * points
-        rows, cells, channels = len(theta_i), len(omega), self._fresnel.shape[1]
+        cells = (len(theta_r_edges) - 1) * (len(delta_phi_edges) - 1)
+        rows, channels = len(theta_i), self._fresnel.shape[1]
         values, std_error = np.zeros((2, rows, cells, channels))
-        by_tilt = np.zeros((rows, BINS, channels))
-        by_node = np.zeros((rows, model.rho.size, channels))
 
         def average(row: int) -> None:
-            row_cells(
-                model, row, fast, fine, coarse, values[row], std_error[row], by_tilt[row], by_node[row], omega
-            )  # fmt: skip
+            row_cells(model, row, fast, fine, coarse, values[row], std_error[row])
 
         for_each(average, rows, threads)
-        return values, std_error, by_tilt.sum(1), self._energy_error(by_tilt, by_node)
+        return values, std_error
 
     def _model(self, width: int) -> Model:
         """Means over all batches, D over so many bins of tilt, and how much they differ between groups of batches."""
@@ -177,6 +170,9 @@ class HalfVector:
         edges = STEP * np.arange(BINS + 1)
         solid_angle = 2.0 * math.pi * -np.diff(np.cos(edges))
         density = _moving_sum(area.sum(0), width) / self.batches / _moving_sum(solid_angle, width)
+        # facets cover the plane once, before and after their average
+        cosine = np.cos(edges[:-1] + 0.5 * STEP)
+        density *= np.sum(area.sum(0) * cosine) / self.batches / np.sum(density * solid_angle * cosine)
         density_change = np.stack(
             [_deviations(_moving_sum(area, 2**level), count) for level in range(_LEVELS)]
         )
@@ -206,14 +202,6 @@ class HalfVector:
             np.stack([group.window_area for group in groups]),
             np.stack([group.seen_area for group in groups]),
         )
-
-    def _energy_error(self, by_tilt: Array, by_node: Array) -> Array:
-        """Standard error of sums over cells, of which so much energy rests on each bin of tilt and node."""
-        count, area, window, seen = self._groups()
-        share = _deviations(seen, count) - _deviations(window, count)[:, :, None, None]
-        change = np.einsum("gn,rnc->grc", _deviations(area, count), by_tilt, optimize=True)
-        change += np.einsum("gn,rnc->grc", share.reshape(len(count), -1), by_node, optimize=True)
-        return np.sqrt(_variance(change, count))
 
 
 def _deviations(sums: Array, count: Array) -> Array:

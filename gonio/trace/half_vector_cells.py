@@ -93,7 +93,7 @@ def _rule(theta: Array, weight: Array, alpha: float) -> Rule:
 
 
 @kernel(allocates=False)
-def row_cells(model, row, fast, fine, spread, values, std_error, by_tilt, by_node, omega):
+def row_cells(model, row, fast, fine, spread, values, std_error):
     """Cell averages of one row.
 
     Parameters
@@ -109,10 +109,6 @@ def row_cells(model, row, fast, fine, spread, values, std_error, by_tilt, by_nod
         Set to the cell averages, 1/sr.
     std_error : ndarray, shape (R * P, C)
         Set to their standard errors; where no facet of such a tilt was ever met, to an upper bound.
-    by_tilt, by_node : ndarray, shapes (N, C) and (A * B * P, C)
-        The row's energy is added by the bin of tilt, and by the node of visibility, that it mostly rests on.
-    omega : ndarray, shape (R * P,)
-        Projected solid angles of the cells.
     """
     rings, sectors = fast[1].cosine.shape[0], fast[2].cosine.shape[0]
     last = model.density.shape[0] - 1
@@ -127,14 +123,9 @@ def row_cells(model, row, fast, fine, spread, values, std_error, by_tilt, by_nod
             level = int(math.log2(model.width + (high - low) / model.step))
             level = min(level, model.density_change.shape[0] - 1)
             variance = _variance(model, level, k, a, b, p, x, y, z)
-            node = (a + int(x + 0.5)) * model.rho.shape[1] + b + int(y + 0.5)
-            node = node * model.rho.shape[2] + p + int(z + 0.5)
             for c in range(values.shape[1]):
                 if values[cell, c] != 0.0:
                     std_error[cell, c] = abs(values[cell, c]) * math.sqrt(variance)
-                energy = values[cell, c] * omega[cell]
-                by_tilt[k, c] += energy
-                by_node[node, c] += energy
 
 
 @kernel(allocates=False)
