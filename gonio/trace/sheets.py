@@ -200,11 +200,16 @@ class SheetTally:
             values[row], std_error[row] = self.row_cells(row, projected_solid_angles)
         return values, std_error
 
-    def row_cells(self, row: int, projected_solid_angles: Array) -> tuple[Array, Array]:
-        """One row of `cells`; how errors are found is said in `gonio.trace.error_bars`."""
+    def row_cells(self, row: int, projected_solid_angles: Array, scaled: bool = False) -> tuple[Array, Array]:
+        """One row of `cells`; how errors are found is said in `gonio.trace.error_bars`.
+
+        `scaled`: errors as if the row were scaled to a known sum, by `row_relative_variance`.
+        """
         omega = projected_solid_angles[:, :, None]
         shape = projected_solid_angles.shape
         mean, variance = self.row_moments(row, shape)
+        if scaled:
+            variance = self.row_relative_variance(row, shape)
         std_error = cell_errors(
             mean, variance, self.hits[row].reshape(shape), projected_solid_angles, self._counts.paths[row]
         )
