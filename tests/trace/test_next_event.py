@@ -95,6 +95,21 @@ def test_cells_agree_with_binned_paths_within_their_error_bars(name):
     assert table.hits is None
 
 
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", CASES)
+def test_every_path_is_counted_once(name):
+    """Before it is scaled to it, what was joined and binned adds up to the energy of the paths."""
+    measurement = Measurement(specimen(*CASES[name]), 100_000, seed=6, estimator=NEXT_EVENT)
+    for _ in range(measurement.planned_batches):
+        measurement.add_batch()
+    sheet = measurement.tally.totals[0]
+    energy, error, specular, _ = sheet.energies()
+    variance = measurement.tally.rows.variance_of_mean(sheet._sum_square)
+    z = (sheet._sum_mean - (energy - specular)) / np.sqrt(variance + error**2)
+    assert np.all(np.abs(z) < 4)
+    assert np.all(np.sqrt(variance) < 0.04 * energy)
+
+
 def centres(table):
     """Cosines of rows and of rings, the latter the mean over projected solid angle."""
     edges = table.theta_r_edges
