@@ -153,7 +153,7 @@ class BatchTracer:
             self.tracer.hemispheres,
             self._orders,
             self.tracer.ledger_names,
-            self.looks is not None,
+            joint=self.job.estimator == NEXT_EVENT,
         )
 
     def new_half_vector(self) -> HalfVector | None:

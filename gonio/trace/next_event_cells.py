@@ -54,7 +54,7 @@ class JoinedSheet:
             batches = self._sheet.row_batches(row)
             values, std_error = mean / omega, scatter_errors(mean / omega, variance / omega**2, hits, batches)
         else:
-            values, std_error = self._sheet.row_cells(row, projected_solid_angles)
+            values, std_error = self._sheet.row_cells(row, projected_solid_angles, scaled=True)
         energy, energy_error, specular, _ = (a[row] for a in self._sheet.energies())
         joined = np.sum(values * omega, axis=(0, 1))
         known = (joined > 0) & (energy - specular > 0)

@@ -203,10 +203,18 @@ class SheetTally:
             values[row], std_error[row] = self.row_cells(row, projected_solid_angles, first)
         return values, std_error
 
-    def row_cells(self, row: int, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
-        """One row of `cells`; how errors are found is said in `gonio.trace.error_bars`."""
+    def row_cells(
+        self, row: int, projected_solid_angles: Array, first: int = 0, scaled: bool = False
+    ) -> tuple[Array, Array]:
+        """One row of `cells`; how errors are found is said in `gonio.trace.error_bars`.
+
+        `scaled`: errors as if the row were scaled to a known sum, by `row_relative_variance`.
+        """
         omega = projected_solid_angles[:, :, None]
-        mean, variance, hits = self._row(row, projected_solid_angles.shape, first)
+        shape = projected_solid_angles.shape
+        mean, variance, hits = self._row(row, shape, first)
+        if scaled:
+            variance = self.row_relative_variance(row, shape)
         std_error = cell_errors(mean, variance, hits, projected_solid_angles, self._counts.paths[row])
         return mean / omega, std_error / omega
 
