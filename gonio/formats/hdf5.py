@@ -10,7 +10,7 @@ A table whose values are compressed has, in place of ``values``, a group ``compr
 its own scales, so that xarray opens a group like the file. Readers accept any minor version of their own
 major version.
 
-Version 1.1 added parts. Anisotropic tables have a format name of their own: `gonio.formats.hdf5_anisotropic`.
+Version 1.1 added parts.
 """
 
 from __future__ import annotations
