@@ -82,7 +82,9 @@ def test_highlight_is_wide_across_the_grooves(brushed):
 
 def test_an_isotropic_specimen_gives_the_isotropic_table():
     """Expected energy of each block of cells, from the isotropic table of the same angle: chi^2."""
-    surface = {"kind": "gaussian", "alpha": 0.4, "samples": 256}
+    # 4096 correlation areas: what one realisation has more of than the next is common to all cells, and no sum of
+    # their variances holds it; with 256 areas it is 1.7 %
+    surface = {"kind": "gaussian", "alpha": 0.4, "samples": 512, "samples_per_correlation_length": 8}
     theta = [30, 60]
     plain = measure(specimen(surface, theta_i_deg=theta), rays=4_000_000, seed=1)
     table = measure(
@@ -98,7 +100,7 @@ def test_an_isotropic_specimen_gives_the_isotropic_table():
             expected = joined(f, 20)
             found = joined(table.energy[a, b, :, :, 0].astype(float), 5)
             variance = joined(table.std_error[a, b, :, :, 0].astype(float) ** 2, 5)
-            lit = expected > 3e-3
+            lit = expected > 1e-3
             # the isotropic table's own error, and what its interpolation smears
             allowed = variance + (0.01 * expected) ** 2
             chi2 += np.sum(((found - expected) ** 2 / allowed)[lit])
