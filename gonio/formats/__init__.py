@@ -79,7 +79,7 @@ def read(path: str | os.PathLike[str]) -> Table:
     module = _module(_by_content(path, names))
     try:
         # numbers beyond floating point become infinite, which a table refuses
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return module.read(path)
     except InputError as error:
         text = str(error) if str(path) in str(error) else f"{path}: {error}"
