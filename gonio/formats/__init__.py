@@ -93,7 +93,7 @@ def read_any(path: str | os.PathLike[str]) -> Table | AnisotropicTable:
     module = _module(_by_content(path, names))
     try:
         # numbers beyond floating point become infinite, which a table refuses
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return module.read(path)
     except InputError as error:
         text = str(error) if str(path) in str(error) else f"{path}: {error}"
