@@ -45,7 +45,7 @@ def refine(problem: Problem, x: Array, coefficients: Array) -> None:
             chosen = chosen[:affordable]
         if affordable <= 0 or len(chosen) == 0:
             break
-        if len(chosen) > _MANY:
+        if level == 1 and len(chosen) > _MANY:
             error = _sketched(problem, x, coefficients)
         else:
             error = _change(problem, x, coefficients, chosen, level)
