@@ -55,13 +55,11 @@ def test_more_lobes_begin_from_what_fewer_found(monkeypatch: pytest.MonkeyPatch)
 
 def test_optical_constants_begin_in_several_places(monkeypatch: pytest.MonkeyPatch) -> None:
     samples = samples_of(material("ggx_conductor", *MODELS["ggx_conductor"]), 4000)
-    # the roughness is right; of a metal like glass steps lead to k = 0, and no further
+    # the roughness is right; of a metal like glass rough steps lead to k = 0, where the objective is 3.1e-4
     misled(monkeypatch, {3: [0.7, 1.0, 0.0]})
     problem = problem_of(samples, "ggx_conductor")
-    budget = Budget(time.perf_counter() + 60.0)
-    alone = descend(problem, problem.reduced(np.array([0.7, 1.0, 0.0]), None), budget, (0.0, 1.0), 1e-4)
-    point = explore(problem.lobes, samples, problem.objective, budget, 0)
-    assert point.value < 0.5 * alone.value
+    point = explore(problem.lobes, samples, problem.objective, Budget(time.perf_counter() + 60.0), 0)
+    assert point.value < 1.5e-4
 
 
 def test_a_step_stops_at_the_bounds_and_the_rest_makes_up_for_it() -> None:
