@@ -17,7 +17,7 @@ _POINTS = 2_500_000  # most quadrature points of a look at all cells
 _NEGLIGIBLE = 1e-10  # of the objective of a model that is 0
 _UNNOTICED = 1e-2  # of chi^2: a tenth of a standard error
 _MANY = 100_000  # cells; of more only one in a block is looked at
-_BLOCK = (2, 2, 4)
+_BLOCK = (1, 1, 2)  # powers of 2, by axis: shifts are faster than divisions
 _NEIGHBOUR = 0.25  # of a neighbouring block's error is the least expected
 
 
@@ -45,7 +45,7 @@ def refine(problem: Problem, x: Array, coefficients: Array) -> None:
             chosen = chosen[:affordable]
         if affordable <= 0 or len(chosen) == 0:
             break
-        if len(chosen) > _MANY:
+        if level == 1 and len(chosen) > _MANY:
             error = _sketched(problem, x, coefficients)
         else:
             error = _change(problem, x, coefficients, chosen, level)
@@ -68,16 +68,18 @@ def _worst(error: Array, tolerance: float, most: int) -> NDArray[np.intp]:
 def _sketched(problem: Problem, x: Array, coefficients: Array) -> Array:
     """The change from level 0 to 1 of all cells: of one in a block taken for the others, if they are smooth."""
     cells: NDArray[np.int32] = problem.cells.cells
-    first = np.all(cells % np.array(_BLOCK) == 0, axis=1)
+    shift = np.array(_BLOCK, np.int32)
+    block = cells >> shift
+    first = np.all(block << shift == cells, axis=1)
     mirror = problem.samples.grid.near_mirror(cells)
-    block = cells // np.array(_BLOCK)
-    error = np.zeros(block.max(axis=0) + 3)  # a margin, for the neighbours
+    block += 1
+    error = np.zeros(block.max(axis=0) + 2)  # a margin, for the neighbours
     seen = np.flatnonzero(first)
-    error[tuple((block[seen] + 1).T)] = _change(problem, x, coefficients, seen, 1)
+    error[tuple(block[seen].T)] = _change(problem, x, coefficients, seen, 1)
     for axis in range(3):
         near = np.maximum(np.roll(error, 1, axis), np.roll(error, -1, axis))
         error = np.maximum(error, _NEIGHBOUR * near)
-    out = error[tuple((block + 1).T)]
+    out = error[tuple(block.T)]
     seen = np.flatnonzero(mirror)
     out[seen] = _change(problem, x, coefficients, seen, 1)
     return out

@@ -50,6 +50,8 @@ def test_every_table_has_an_answer(name: str, model: str) -> None:
     began = time.perf_counter()
     found = fit(tables()[name], model, max_seconds=LIMIT)
     assert time.perf_counter() - began < 2 * LIMIT
+    # 30 looks a dimension and one more in the search, 60 steps from each of 14 starts at most, 60 at the end
+    assert found.evaluations < 30 * 6 + 15 * 60 + 10
     found.dumps()  # no NaN or infinity
     for lobe in found.lobes:
         for by_channel in lobe.coefficients.values():
