@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from fitting.merl import decode
 from gonio import formats
 from gonio.core.directions import direction
 from gonio.formats import merl
@@ -14,7 +15,6 @@ from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
 from tests.formats.damage import refused
-from tests.formats.nbrdf import decode
 from tests.table.tables import grid, make, with_parts
 
 slow_in_python = pytest.mark.compiled

@@ -174,16 +174,22 @@ def test_rays_go_where_the_error_is(monkeypatch):
     """With a budget that is too small, the worst row ends better than with as many paths for each."""
 
     def errors():
-        measurement = Measurement(gaussian(), 400_000, 2, target_error=0.02, estimator=ANALOG)
-        while not measurement.schedule.over:
-            measurement.add_batch()
-        return measurement.judge().cells
+        found = []
+        for seed in range(6):
+            measurement = Measurement(gaussian(), 400_000, seed, target_error=0.02, estimator=ANALOG)
+            while not measurement.schedule.over:
+                measurement.add_batch()
+            found.append(measurement.judge().cells)
+        return np.array(found)
 
     aimed = errors()
     monkeypatch.setattr(Schedule, "_deal", lambda self, needed, *_: np.ones((1, len(needed)), np.int64))
     even = errors()
-    assert aimed.max() < 0.93 * even.max()
-    assert aimed.max() / aimed.min() < 0.9 * even.max() / even.min()
+    for gain in (
+        np.log(even.max(axis=1) / aimed.max(axis=1)),
+        np.log(even.max(axis=1) / even.min(axis=1)) - np.log(aimed.max(axis=1) / aimed.min(axis=1)),
+    ):
+        assert gain.mean() > 3 * gain.std(ddof=1) / math.sqrt(len(gain))
 
 
 def test_a_target_does_not_bias_the_table():
