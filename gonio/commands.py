@@ -25,7 +25,9 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON obj
 @click.command()
 @click.argument("spec", type=_PATH)
 @_OUT
-@click.option("--rays", type=int, help="Paths to trace over all rows (default 20 million).")
+@click.option(
+    "--rays", type=int, help="Paths to trace over all rows (default 20 million; next-event 2 million)."
+)
 @click.option("--time", "seconds", type=float, help="Trace for so many seconds instead.")
 @click.option(
     "--target-error",

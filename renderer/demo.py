@@ -32,7 +32,6 @@ from renderer.render import render
 from renderer.report import write_report
 from renderer.scene import Scene
 
-_RAYS = 20_000_000
 _WIDTH, _HEIGHT, _SPP = 480, 300, 96
 _MESHES = (".obj", ".ply", ".stl", ".glb", ".gltf")
 
@@ -135,7 +134,7 @@ class Demo:
     def _measure_and_fit(self, case: _Case) -> tuple[Table, Fit]:
         path = self.folder / f"{case.name}.h5"
         with self._stage(f"trace {case.name}") as result, progress_bar(f"trace {case.name}") as report:
-            table = measure(case.specimen, rays=_RAYS, progress=report)
+            table = measure(case.specimen, progress=report)
             table.save(path)
             facts = table.provenance
             result.update(

@@ -42,7 +42,8 @@ def measure(
     specimen : Specimen
         From `microgeometry.specimen.load_specimen`.
     rays : int, optional
-        Paths to trace, over all rows; rounded up to whole batches, at least 32. Default 20 million.
+        Paths to trace, over all rows; rounded up to whole batches, at least 32. Default 20 million, or
+        2 million of next-event estimates.
     seconds : float, optional
         Trace for that long instead (and at least two batches).
     seed, threads : int, optional
