@@ -138,7 +138,7 @@ def _history_lines(data: Mapping[str, Any]) -> list[str]:
     if part := data["provenance"].get("part"):
         lines.append(f"part          {part}")
     lines.append(f"channels      {', '.join(data['channels'])}")
-    if peak := data["peak"]:
+    if peak := data.get("peak"):
         lines.append(
             f"highlight     {' x '.join(map(str, peak['shape']))} cells of its own, half-vector slopes up to "
             f"{peak['slope']:.3g}"

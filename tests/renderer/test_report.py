@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fitting.result import Fit, FittedLobe
+from gonio.trace.estimators import ANALOG
 from gonio.trace.measure import measure
 from microgeometry.errors import InputError
 from microgeometry.specimen import parse_specimen
@@ -28,6 +29,7 @@ def traced():
             }
         ),
         rays=100_000,
+        estimator=ANALOG,
     )
 
 
