@@ -83,7 +83,7 @@ def account(problem: Problem, point: Point) -> Account:
     sums = np.zeros((chunks, 10))
     bread = np.zeros((chunks, channels, size, size))
     scatter = np.zeros((chunks, problem.size, problem.size))
-    fourth = np.zeros((chunks, problem.size))
+    powers = np.zeros((chunks, 2, problem.size))
     held, inverse = _solved(problem, point)
     maps, places = problem.maps(point), problem.places
     leverage = np.stack(
@@ -110,7 +110,7 @@ def account(problem: Problem, point: Point) -> Account:
             sums[chunk],
             bread[chunk],
             scatter[chunk],
-            fourth[chunk],
+            powers[chunk],
         )
 
     for_each(task, chunks)
@@ -128,16 +128,15 @@ def account(problem: Problem, point: Point) -> Account:
     matrix = np.zeros((problem.size, problem.size))
     for rule, own, sides in zip(maps, places, _symmetric(stride * bread.sum(axis=0)), strict=True):
         matrix[np.ix_(own, own)] += rule @ sides @ rule.T
-    scattered = _symmetric(scatter.sum(axis=0))
-    square = np.einsum("mj,jk,mk->m", inverse, scattered, inverse)
+    square, fourth = powers.sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        freedom = 3.0 * square**2 / fourth.sum(axis=0) - 2.0
+        freedom = 3.0 * square**2 / fourth - 2.0
     return Account(
         metrics,
         float(np.sqrt(min(total[_SPREAD], total[_BOUND]))),
         float(total[_PAIRS] / np.sqrt(total[_PAIRS2])) if total[_PAIRS2] > 0 else 0.0,
         matrix,
-        stride * scattered,
+        stride * _symmetric(scatter.sum(axis=0)),
         held,
         freedom,
     )
@@ -156,20 +155,21 @@ def inverse_over(matrix: Array, free: NDArray[np.bool_]) -> Array:
     """Inverse of the part of a matrix that belongs to the free unknowns, 0 elsewhere."""
     out = np.zeros_like(matrix)
     within = np.ix_(free, free)
-    out[within] = solve_scaled(matrix[within], np.eye(np.count_nonzero(free)), 0.0)
+    out[within] = solve_scaled(matrix[within], np.eye(int(free.sum())), 0.0)
     return out
 
 
 def _symmetric(lower: Array) -> Array:
     """From lower triangles."""
-    return lower + np.swapaxes(np.tril(lower, -1), -1, -2)
+    full: Array = lower + np.swapaxes(np.tril(lower, -1), -1, -2)
+    return full
 
 
 @kernel
 def _account(
     kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells, levels, values, weights, cos_i,
     sin_i, sin_o, variance, factors, difference, scale, stride, leverage, maps, places, inverse,
-    sums, bread, scatter, fourth,
+    sums, bread, scatter, powers,
 ):  # fmt: skip
     size, terms, channels = bread.shape[1], factors.shape[0], values.shape[1]
     v, scratch, u = np.empty(size), np.empty(2 * tangents.shape[1]), np.empty(len(inverse))
@@ -246,6 +246,7 @@ def _account(
             q = 0.0
             for k in range(len(u)):
                 q += inverse[j, k] * u[k]
-            fourth[j] += q**4
+            powers[0, j] += q**2
+            powers[1, j] += q**4
             for k in range(j + 1):
                 scatter[j, k] += u[j] * u[k]

@@ -66,7 +66,8 @@ def confidence(problem: Problem, point: Point, seen: Account) -> Confidence | No
         return None
     inverse = inverse_over(seen.matrix, ~seen.held)
     covariance = inverse @ seen.scatter @ inverse
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), 0.0))  # rounding, where all but singular
+    std = np.sqrt(np.diag(covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
         alone = np.sqrt(np.diag(seen.scatter)) / np.diag(seen.matrix)
     std = np.where(seen.held, np.where(np.isfinite(alone), alone, np.inf), std)
