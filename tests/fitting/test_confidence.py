@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,6 +68,21 @@ def test_intervals_hold_the_truth(noise: Callable) -> None:
     # 120 intervals that share their noise ten by ten: even 12 independent ones miss 4 of 12 once in 5000
     assert held.mean() > 8 / 12
     assert held.shape == (12, 10)
+
+
+def test_copies_of_a_channel_tell_nothing_new() -> None:
+    table = scattered(TRUTH.table(grid(8, 24, 40)), 0.0, np.random.default_rng(3))
+    samples = Samples.of_table(table)
+    one = samples.values[:, :1]
+    once = fit(replace(samples, values=one, channels=("R",)), TRUTH.model)
+    thrice = fit(replace(samples, values=np.repeat(one, 3, axis=1)), TRUTH.model)
+    assert once.confidence is not None
+    assert thrice.confidence is not None
+    (alone,) = (of for of in once.confidence["parameters"] if of["name"] == "alpha")
+    (together,) = (of for of in thrice.confidence["parameters"] if of["name"] == "alpha")
+    # but for the leverages, of which each copy has a third; taken as independent they would give 1/sqrt(3)
+    assert together["value"] == pytest.approx(alone["value"], rel=1e-4)
+    assert together["std_error"] == pytest.approx(alone["std_error"], rel=0.05)
 
 
 def test_interval_of_what_few_values_bear_on() -> None:
