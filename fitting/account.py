@@ -43,19 +43,30 @@ class Account:
         most that of counts (variance 2 + variance/g^2 each) whose channels are all the same.
     neighbours : float
         Correlation of the residuals of cells side by side in delta phi, in units of its standard deviation.
-    bread : ndarray, shape (C, V, V)
-        Half of the second derivatives of the objective, in terms of the vector v of `fitting.moments`.
-    scores : ndarray, shape (C, C, V, V)
-        Sums over cells of s_c s_c' v v', s = w r/(1 - h) with the leverage h of the value, by which its own pull
-        on the fit makes its residual small (HC3, MacKinnon and White 1985): the scatter of its first
-        derivatives. Both are estimated from one cell in several where there are very many.
+    matrix : ndarray, shape (M, M)
+        Half of the second derivatives of the objective by the unknowns, in the order of `Problem.equations`.
+    scatter : ndarray, shape (M, M)
+        Of its first derivatives: sums over cells of u u', u = sum over channels of w r/(1 - h) and the model's
+        derivatives, with the leverage h of the value, by which its own pull on the fit makes its residual
+        small (HC3, MacKinnon and White 1985). Both are estimated from one cell in several where there are
+        very many.
+    held : ndarray of bool, shape (M,)
+        At a bound, or without any influence.
+    freedom : ndarray, shape (M,)
+        How well the scatter is known along each unknown, in degrees of freedom. An unknown moves by q = sum of
+        the q_n of cells. With t_n the variance of q_n, the estimate sum q_n^2 scatters like chi^2 of
+        (sum t)^2 / sum t^2 degrees of freedom (Satterthwaite 1946; of scatters like this one, Bell and McCaffrey
+        2002), and of Gaussian errors sum q^4 is 3 sum t^2 and (sum q^2)^2 is (sum t)^2 + 2 sum t^2 in the
+        mean. A thousand cells can be three, where errors or weights are uneven.
     """
 
     metrics: dict[str, float]
     chi2_std: float
     neighbours: float
-    bread: Array
-    scores: Array
+    matrix: Array
+    scatter: Array
+    held: NDArray[np.bool_]
+    freedom: Array
 
 
 def account(problem: Problem, point: Point) -> Account:
@@ -71,8 +82,13 @@ def account(problem: Problem, point: Point) -> Account:
     stride = max(1, n // _ENOUGH)
     sums = np.zeros((chunks, 10))
     bread = np.zeros((chunks, channels, size, size))
-    scores = np.zeros((chunks, channels, channels, size, size))
-    leverage = _leverage(problem, point) / problem.norm
+    scatter = np.zeros((chunks, problem.size, problem.size))
+    powers = np.zeros((chunks, 2, problem.size))
+    held, inverse = _solved(problem, point)
+    maps, places = problem.maps(point), problem.places
+    leverage = np.stack(
+        [rule.T @ inverse[np.ix_(own, own)] @ rule for rule, own in zip(maps, places, strict=True)]
+    )
     variance = np.empty((0, channels)) if samples.variance is None else samples.variance
 
     def task(chunk: int) -> None:
@@ -88,9 +104,13 @@ def account(problem: Problem, point: Point) -> Account:
             objective.scale,
             stride,
             leverage,
+            maps,
+            places,
+            inverse,
             sums[chunk],
             bread[chunk],
-            scores[chunk],
+            scatter[chunk],
+            powers[chunk],
         )
 
     for_each(task, chunks)
@@ -105,44 +125,54 @@ def account(problem: Problem, point: Point) -> Account:
     }
     if samples.variance is not None:
         metrics["chi2"] = float(total[_CHI2])
+    matrix = np.zeros((problem.size, problem.size))
+    for rule, own, sides in zip(maps, places, _symmetric(stride * bread.sum(axis=0)), strict=True):
+        matrix[np.ix_(own, own)] += rule @ sides @ rule.T
+    square, fourth = powers.sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        freedom = 3.0 * square**2 / fourth - 2.0
     return Account(
         metrics,
         float(np.sqrt(min(total[_SPREAD], total[_BOUND]))),
         float(total[_PAIRS] / np.sqrt(total[_PAIRS2])) if total[_PAIRS2] > 0 else 0.0,
-        stride * _symmetric(bread.sum(axis=0)),
-        stride * _symmetric(scores.sum(axis=0)),
+        matrix,
+        stride * _symmetric(scatter.sum(axis=0)),
+        held,
+        freedom,
     )
 
 
-def _leverage(problem: Problem, point: Point) -> Array:
-    """Matrices K of every channel, shape (C, V, V): the leverage of a value is w v K v, times the norm."""
+def _solved(problem: Problem, point: Point) -> tuple[NDArray[np.bool_], Array]:
+    """Which unknowns are held, and the inverse of the objective's matrix over the others; 0 where held."""
     matrix, _ = problem.equations(point)
-    inverse = np.stack([solve_scaled(matrix, unit, 0.0) for unit in np.eye(problem.size)])
-    d, j, channels = len(problem.parameters), len(problem.coefficients.names), problem.channels
-    out = []
-    for c, rule in enumerate(problem.maps(point)):
-        places = np.concatenate([np.arange(d), d + np.arange(j) * channels + c])
-        out.append(rule.T @ inverse[np.ix_(places, places)] @ rule)
-    return np.array(out)
+    position = np.concatenate([point.x, point.coefficients.ravel()])
+    shape = np.arange(problem.size) < len(point.x)
+    held = (np.diag(matrix) <= 0.0) | (position <= 0.0) | (shape & (position >= 1.0))
+    return held, inverse_over(matrix * problem.norm, ~held)
+
+
+def inverse_over(matrix: Array, free: NDArray[np.bool_]) -> Array:
+    """Inverse of the part of a matrix that belongs to the free unknowns, 0 elsewhere."""
+    out = np.zeros_like(matrix)
+    within = np.ix_(free, free)
+    out[within] = solve_scaled(matrix[within], np.eye(int(free.sum())), 0.0)
+    return out
 
 
 def _symmetric(lower: Array) -> Array:
-    """From lower triangles, also over pairs of channels."""
-    out = lower + np.swapaxes(np.tril(lower, -1), -1, -2)
-    if out.ndim == 4:
-        for c in range(len(out)):
-            for d in range(c):
-                out[d, c] = out[c, d]
-    return out
+    """From lower triangles."""
+    full: Array = lower + np.swapaxes(np.tril(lower, -1), -1, -2)
+    return full
 
 
 @kernel
 def _account(
     kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells, levels, values, weights, cos_i,
-    sin_i, sin_o, variance, factors, difference, scale, stride, leverage, sums, bread, scores,
+    sin_i, sin_o, variance, factors, difference, scale, stride, leverage, maps, places, inverse,
+    sums, bread, scatter, powers,
 ):  # fmt: skip
     size, terms, channels = bread.shape[1], factors.shape[0], values.shape[1]
-    v, scratch, score = np.empty(size), np.empty(2 * tangents.shape[1]), np.empty(channels)
+    v, scratch, u = np.empty(size), np.empty(2 * tangents.shape[1]), np.empty(len(inverse))
     shared = weights.shape[1] == 1
     before = np.zeros(channels)  # residuals of the last cell, in standard errors
     for n in range(len(cells)):
@@ -154,6 +184,7 @@ def _account(
         )  # fmt: skip
         ngan = cos_i[n] * cos_i[n] * sin_i[n] * sin_o[n]
         excess, bound, pair = 0.0, 0.0, 0.0
+        u[:] = 0.0
         last = n - 1
         adjacent = (
             n > 0
@@ -192,7 +223,12 @@ def _account(
             for j in range(size):
                 for k in range(size):
                     pull += v[j] * leverage[channel, j, k] * v[k]
-            score[channel] = w * r / max(_LEAST, 1.0 - w * pull)
+            score = w * r / max(_LEAST, 1.0 - w * pull)
+            for m in range(places.shape[1]):
+                slope = 0.0
+                for j in range(size):
+                    slope += maps[channel, m, j] * v[j]
+                u[places[channel, m]] += score * slope
             if difference == ABSOLUTE_LOG:  # the rounded modulus' own curvature, not its bound
                 w *= scale * scale / (log * log + scale * scale)
             for j in range(size):
@@ -206,10 +242,11 @@ def _account(
             sums[_PAIRS2] += pair * pair
         if not sampled:
             continue
-        for channel in range(channels):
-            for other in range(channel + 1):
-                w = score[channel] * score[other]
-                for j in range(size):
-                    wv = w * v[j]
-                    for k in range(j + 1):
-                        scores[channel, other, j, k] += wv * v[k]
+        for j in range(len(u)):
+            q = 0.0
+            for k in range(len(u)):
+                q += inverse[j, k] * u[k]
+            powers[0, j] += q**2
+            powers[1, j] += q**4
+            for k in range(j + 1):
+                scatter[j, k] += u[j] * u[k]

@@ -7,6 +7,9 @@ channels are independent, S is H and the covariance is H^-1, the inverse Hessian
 table share their paths, which S sees, and objectives other than chi2 do not weigh by the errors. Unknowns at
 a bound are held there.
 
+The scatter is itself an estimate, and of an unknown on which few cells bear a rough one: quantiles are
+Student's, of the degrees of freedom it has along each unknown (see `Account.freedom`).
+
 Intervals of shape parameters are symmetric in the search's variable, which is the logarithm for most.
 """
 
@@ -19,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from fitting.account import Account
-from fitting.problem import Point, Problem, solve_scaled
+from fitting.account import Account, inverse_over
+from fitting.problem import Point, Problem
 
 Array = NDArray[np.float64]
 
@@ -61,29 +64,15 @@ def confidence(problem: Problem, point: Point, seen: Account) -> Confidence | No
     values, size = problem.samples.values.size, problem.size
     if values <= size:
         return None
-    maps = problem.maps(point)
-    d, j, channels = len(problem.parameters), len(problem.coefficients.names), problem.channels
-    places = [np.concatenate([np.arange(d), d + np.arange(j) * channels + c]) for c in range(channels)]
-    matrix, scatter = np.zeros((size, size)), np.zeros((size, size))
-    for c in range(channels):
-        matrix[np.ix_(places[c], places[c])] += maps[c] @ seen.bread[c] @ maps[c].T
-        for e in range(channels):
-            scatter[np.ix_(places[c], places[e])] += maps[c] @ seen.scores[c, e] @ maps[e].T
-    position = np.concatenate([point.x, point.coefficients.ravel()])
-    shape = np.arange(size) < d
-    held = (np.diag(matrix) <= 0.0) | (position <= 0.0) | (shape & (position >= 1.0))
-    free = ~held
-    covariance = np.zeros((size, size))
-    if free.any():
-        half = matrix[np.ix_(free, free)]
-        inverse = np.stack([solve_scaled(half, unit, 0.0) for unit in np.eye(int(free.sum()))])
-        covariance[np.ix_(free, free)] = inverse @ scatter[np.ix_(free, free)] @ inverse
-    quantile = float(stats.t.ppf(0.5 + 0.5 * LEVEL, values - size))
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    inverse = inverse_over(seen.matrix, ~seen.held)
+    covariance = inverse @ seen.scatter @ inverse
+    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), 0.0))  # rounding, where all but singular
+    std = np.sqrt(np.diag(covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
-        alone = np.sqrt(np.diag(scatter)) / np.diag(matrix)
-    std = np.where(held, np.where(np.isfinite(alone), alone, np.inf), std)
-    return Confidence(covariance, held, quantile * std)
+        alone = np.sqrt(np.diag(seen.scatter)) / np.diag(seen.matrix)
+    std = np.where(seen.held, np.where(np.isfinite(alone), alone, np.inf), std)
+    freedom = np.fmin(seen.freedom, values - size)
+    return Confidence(covariance, seen.held, stats.t.ppf(0.5 + 0.5 * LEVEL, freedom) * std)
 
 
 def describe(problem: Problem, point: Point, certain: Confidence) -> dict[str, Any]:

@@ -188,13 +188,19 @@ class Problem:
             Minus half of its first derivatives.
         """
         maps = self.maps(point)
-        d, j, channels = len(self.parameters), len(self.coefficients.names), self.channels
         matrix, right = np.zeros((self.size, self.size)), np.zeros(self.size)
-        for c in range(channels):
-            places = np.concatenate([np.arange(d), d + np.arange(j) * channels + c])
-            matrix[np.ix_(places, places)] += maps[c] @ point.gram[c] @ maps[c].T
-            right[places] += maps[c] @ point.right[c]
+        for c, own in enumerate(self.places):
+            matrix[np.ix_(own, own)] += maps[c] @ point.gram[c] @ maps[c].T
+            right[own] += maps[c] @ point.right[c]
         return matrix / self.norm, right / self.norm
+
+    @property
+    def places(self) -> NDArray[np.int64]:
+        """Which unknowns each channel has, shape (C, D + J)."""
+        d, j, channels = len(self.parameters), len(self.coefficients.names), self.channels
+        return np.stack(
+            [np.concatenate([np.arange(d), d + np.arange(j) * channels + c]) for c in range(channels)]
+        )
 
     def maps(self, point: Point) -> Array:
         """Derivatives of the model by the unknowns of each channel, of the vector v: shape (C, D + J, V)."""
@@ -234,12 +240,15 @@ class Problem:
 
 
 def solve_scaled(matrix: Array, right: Array, damping: float) -> Array:
-    """Solution of equations scaled to a unit diagonal, with `damping` added to it; null directions stay put."""
+    """Solution, for one right side or a matrix of several, of equations scaled to a unit diagonal.
+
+    `damping` is added to the diagonal; null directions stay put.
+    """
     if len(right) == 0:
         return right
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale[scale == 0.0] = np.inf
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
     keep = values > 1e-15 * max(values[-1], 1e-300)
-    along = vectors[:, keep].T @ (right / scale)
-    return vectors[:, keep] @ (along / (values[keep] + damping)) / scale
+    basis = vectors[:, keep] / scale[:, None]
+    return basis @ ((basis.T @ right).T / (values[keep] + damping)).T

@@ -83,19 +83,19 @@ def interact(
             for s in range(light.shape[0]):
                 light[s, 2], light[s, 3] = -light[s, 2], -light[s, 3]
         return _reflect(v, n), across, False, True
-    reflected, transmitted = _interface(facets, media, share, layer, material, front, v, n, light, scratch)
+    reflected, transmitted = split(facets, media, share, layer, material, front, v, n, light, scratch)
     if reflected + transmitted <= 0.0:
         light[:, :] = 0.0
         return v, e, False, True
     chance = reflected / (reflected + transmitted) if kind == CLEAR else 1.0
     if u0 < chance:
-        _apply(light, scratch, R_S, 1.0 / chance, polarised)
+        apply_amplitudes(light, scratch, R_S, 1.0 / chance, polarised)
         return _reflect(v, n), across, False, True
     eta_i = media.eta[layer if front else layer + 1]
     eta_t = media.eta[layer + 1 if front else layer]
     sample = _one_of_many(eta_i, eta_t, share, scratch, u1 * transmitted)
     if sample < 0:
-        _apply(light, scratch, T_S, 1.0 / (1.0 - chance), polarised)
+        apply_amplitudes(light, scratch, T_S, 1.0 / (1.0 - chance), polarised)
         sample = 0
         while scratch[I_T, sample] <= 0.0:
             sample += 1
@@ -104,7 +104,7 @@ def interact(
         for s in range(light.shape[0]):
             if s != sample:
                 light[s, :] = 0.0
-        _apply(light, scratch, T_S, gain, polarised)
+        apply_amplitudes(light, scratch, T_S, gain, polarised)
     w, cos_t = refract(v, n, eta_t[sample] / eta_i[sample])
     if cos_t == 0.0:  # rounding, at the critical angle
         light[:, :] = 0.0
@@ -112,7 +112,7 @@ def interact(
 
 
 @kernel(allocates=False)
-def _interface(facets, media, share, layer, material, front, v, n, light, scratch):
+def split(facets, media, share, layer, material, front, v, n, light, scratch):
     """What the interface does to each sample, into `scratch`; returns the energies reflected and transmitted."""
     cosine = min(1.0, -dot(v, n))
     clear = facets.kind[material] == CLEAR
@@ -237,7 +237,7 @@ def _intensity(stokes, a_s2, a_p2):
 
 
 @kernel(allocates=False)
-def _apply(light, scratch, first, gain, polarised):
+def apply_amplitudes(light, scratch, first, gain, polarised):
     """Reflect (first = R_S) or transmit (T_S) every sample, and multiply by `gain`."""
     for s in range(light.shape[0]):
         if light[s, 0] == 0.0:

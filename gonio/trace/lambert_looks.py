@@ -39,9 +39,9 @@ from gonio.trace.transport import (
     LEAVES,
     MAX_SEGMENTS,
     ROULETTE_BOUNCES,
-    _arrive,
-    _cross,
-    _retreat,
+    arrive,
+    cross,
+    send_back,
 )
 
 _PURPOSE = 1 << 25  # word of the random numbers' counter that no path's bounce reaches
@@ -214,7 +214,7 @@ def _see(embree, box, coherent, packet, origin, across, alive, w, cosine):
             if packet[T_FAR, lane] < _ZERO:
                 cosine[lane] = _ZERO
                 ints[VALID, lane] = 0
-            elif _cross(box, packet, lane) != 0:
+            elif cross(box, packet, lane) != 0:
                 ints[VALID, lane] = 0
             else:
                 packet[T_FAR, lane] = _FAR
@@ -245,19 +245,19 @@ def _go_on(embree, box, packet, origin, across, retreat, alive, bounces):
         intersect16(embree, packet, False)
         rays += waiting
         segments += 1
-        _arrive(box, packet, False, retreat, bounces)
+        arrive(box, packet, False, retreat, bounces)
         for lane in range(PACKET_WIDTH):
             if ints[VALID, lane] == 0:
                 continue
             ends = False
             if ints[GEOM_ID, lane] == MISS:
-                ends = packet[LEAVES, lane] == _ONE or _cross(box, packet, lane) != 0
+                ends = packet[LEAVES, lane] == _ONE or cross(box, packet, lane) != 0
                 if ends:
                     alive[lane] = 0
             elif packet[D_N, lane] >= _ZERO:
                 # a facet's back: the step off the last facet ended behind it, or this one did
                 if packet[T_FAR, lane] >= INSIDE * box.lift:
-                    _retreat(packet, lane, retreat)
+                    send_back(packet, lane, retreat)
             else:
                 ends = True
                 origin[0, lane], across[0, lane] = packet[ORG_X, lane], packet[NORMAL_X, lane]

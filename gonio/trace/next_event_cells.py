@@ -55,10 +55,10 @@ class JoinedSheet:
             values, std_error = mean / omega, scatter_errors(mean / omega, variance / omega**2, hits, batches)
         else:
             values, std_error = self._sheet.row_cells(row, projected_solid_angles, scaled=True)
-        energy, energy_error, specular, _ = (a[row] for a in self._sheet.energies())
+        energy, energy_error = (a[row] for a in self._sheet.spread_energies())
         joined = np.sum(values * omega, axis=(0, 1))
-        known = (joined > 0) & (energy - specular > 0)
-        factor = np.where(known, energy - specular, 1.0) / np.where(known, joined, 1.0)
+        known = (joined > 0) & (energy > 0)
+        factor = np.where(known, energy, 1.0) / np.where(known, joined, 1.0)
         relative = np.where(known, energy_error, 0.0) / np.where(known, energy, 1.0)
         values = values * factor
         if self._orders:

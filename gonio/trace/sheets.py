@@ -129,12 +129,12 @@ class SheetTally:
         self._first, self._count = first, count
         self._mean = np.zeros((rows, cells, channels))
         self._square = np.zeros((rows, cells, channels))
-        # energies of a row: the delta term in each channel, then all there is
-        self._row_mean = np.zeros((rows, 2 * channels))
-        self._row_square = np.zeros((rows, 2 * channels))
+        # energies of a row: the delta term in each channel, then all there is, then all but the delta term
+        self._row_mean = np.zeros((rows, 3 * channels))
+        self._row_square = np.zeros((rows, 3 * channels))
         # what each batch adds to the sum of squares: squared and summed, of the row's energies, and of all
         # its cells together; and for the cells also just summed
-        self._row_fourth = np.zeros((rows, 2 * channels))
+        self._row_fourth = np.zeros((rows, 3 * channels))
         self._cells_square = np.zeros((rows, channels))
         self._cells_fourth = np.zeros((rows, channels))
         self._joint = np.zeros((rows, cells if joint else 0, channels))
@@ -153,8 +153,8 @@ class SheetTally:
     def add_energies(self, row: int, specular: Array, energy: Array, scale: float) -> None:
         """Add a row's energies to the batch begun, its slots of `Tally.accumulators`; scale = 1 / paths."""
         mine = slice(self._first, self._first + self._count)
-        sums = [a[:, :, mine].sum(axis=(0, 1, 2)) for a in (specular, energy)]
-        value = np.concatenate(sums) * scale
+        delta_term, total = (a[:, :, mine].sum(axis=(0, 1, 2)) for a in (specular, energy))
+        value = np.concatenate([delta_term, total, total - delta_term]) * scale
         delta = value - self._row_mean[row]
         self._row_mean[row] += delta / self._counts.weight[row]
         increase = delta * (value - self._row_mean[row])
@@ -261,11 +261,20 @@ class SheetTally:
         std_error = np.sqrt(self._counts.variance_of_mean(self._row_square))
         channels = self._mean.shape[2]
         return (
-            self._row_mean[:, channels:],
-            std_error[:, channels:],
+            self._row_mean[:, channels : 2 * channels],
+            std_error[:, channels : 2 * channels],
             self._row_mean[:, :channels],
             std_error[:, :channels],
         )
+
+    def spread_energies(self) -> tuple[Array, Array]:
+        """Energy of each row without the delta term, and its error; shape (rows, channels) each.
+
+        Light that splits between the two makes this error larger than that of all energy.
+        """
+        channels = self._mean.shape[2]
+        std_error = np.sqrt(self._counts.variance_of_mean(self._row_square))
+        return self._row_mean[:, 2 * channels :], std_error[:, 2 * channels :]
 
     def variance_of_variance(self) -> Array:
         """Relative variance of the variance of each row, shape (2, rows): of its energy, and of all its cells.
@@ -274,8 +283,8 @@ class SheetTally:
         eq. 2.20): 2 / batches where these are normal; large where a few of them make up the variance.
         """
         channels = self._mean.shape[2]
-        squares = np.stack([self._row_square[:, channels:], self._cells_square])
-        fourths = np.stack([self._row_fourth[:, channels:], self._cells_fourth])
+        squares = np.stack([self._row_square[:, channels : 2 * channels], self._cells_square])
+        fourths = np.stack([self._row_fourth[:, channels : 2 * channels], self._cells_fourth])
         known = squares > 0
         ratio = np.where(known, fourths, 0.0) / np.where(known, squares, 1.0) ** 2
         fewest = 1.0 / np.maximum(self._counts.batches - 1, 1)[:, None]

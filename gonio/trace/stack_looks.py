@@ -37,7 +37,7 @@ from gonio.core.optics import refract
 from gonio.core.phase import RAYLEIGH, phase_value, rayleigh_polarisation
 from gonio.core.stokes import mueller, perpendicular, rotation
 from gonio.table.interpolation import eval_table
-from gonio.trace.interface import T_S, _apply, _interface, scale, turn
+from gonio.trace.interface import T_S, apply_amplitudes, scale, split, turn
 from gonio.trace.stack import (
     ABSORBS,
     BOTTOM,
@@ -259,12 +259,12 @@ def _leave(
                     across = perpendicular(w, _DOWN)
                     if polarised:
                         turn(light, rotation(e, w, across))
-                    _interface(facets, media, share, layer, material, False, w, _DOWN, light, scratch)
+                    split(facets, media, share, layer, material, False, w, _DOWN, light, scratch)
                     ratio = 0.0
                     for s in range(light.shape[0]):
                         if light[s, 0] > 0.0:
                             ratio = media.eta[layer, s] / media.eta[layer + 1, s]
-                    _apply(light, scratch, T_S, 1.0, polarised)
+                    apply_amplitudes(light, scratch, T_S, 1.0, polarised)
                     if ratio == 0.0:
                         return rays
                     w, cos_t = refract(w, _DOWN, ratio)

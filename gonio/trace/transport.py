@@ -176,19 +176,19 @@ def trace_packet(
         intersect16(embree, packet, coherent)
         rays += active
         segments += 1
-        _arrive(box, packet, albedo is None, retreat, bounces)
+        arrive(box, packet, albedo is None, retreat, bounces)
         for lane in range(PACKET_WIDTH):
             if ints[VALID, lane] == 0:
                 continue
             end = 0
             if ints[GEOM_ID, lane] == MISS:
-                end = REFLECTED if packet[LEAVES, lane] == _ONE else _cross(box, packet, lane)
-                if end == LOST and _retreat(packet, lane, retreat):
+                end = REFLECTED if packet[LEAVES, lane] == _ONE else cross(box, packet, lane)
+                if end == LOST and send_back(packet, lane, retreat):
                     end = 0
             elif packet[D_N, lane] >= _ZERO:
                 # a facet's back: the path started a rounding error below the surface, and goes on through
                 if packet[T_FAR, lane] >= INSIDE * box.lift:
-                    _retreat(packet, lane, retreat)
+                    send_back(packet, lane, retreat)
             elif bounces[lane] > max_bounces:
                 bounces[lane] = max_bounces
                 end = KILLED
@@ -212,7 +212,7 @@ def trace_packet(
 
 
 @kernel(allocates=False)
-def _arrive(box, packet, reflects, retreat, bounces):
+def arrive(box, packet, reflects, retreat, bounces):
     """Take all rays to where they hit and off the facet, mirrored in its normal if it `reflects`.
 
     Nothing here branches, so that the compiler does many lanes at once. The normals become unit vectors;
@@ -284,7 +284,7 @@ def _escape(horizon, packet, status):
 
 
 @kernel(allocates=False)
-def _cross(box, packet, lane):
+def cross(box, packet, lane):
     """Take a ray that hit nothing in its tile to the tile's face: out above, lost below, or in again opposite."""
     x, y, z = packet[ORG_X, lane], packet[ORG_Y, lane], packet[ORG_Z, lane]
     vx, vy, vz = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
@@ -351,7 +351,7 @@ def _scatter(
 
 
 @kernel(allocates=False)
-def _retreat(packet, lane, retreat):
+def send_back(packet, lane, retreat):
     """Send a path found inside the body back to before its last bounce, in its new direction; False if it was."""
     if math.isnan(retreat[0, lane]):
         return False

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from fitting import Fit, fit
+from fitting import Fit, Samples, fit
 from gonio.table.table import Table
 
 from .materials import counted, gold, grid, material
@@ -67,6 +68,48 @@ def test_intervals_hold_the_truth(noise: Callable) -> None:
     # 120 intervals that share their noise ten by ten: even 12 independent ones miss 4 of 12 once in 5000
     assert held.mean() > 8 / 12
     assert held.shape == (12, 10)
+
+
+def test_copies_of_a_channel_tell_nothing_new() -> None:
+    table = scattered(TRUTH.table(grid(8, 24, 40)), 0.0, np.random.default_rng(3))
+    samples = Samples.of_table(table)
+    one = samples.values[:, :1]
+    once = fit(replace(samples, values=one, channels=("R",)), TRUTH.model)
+    thrice = fit(replace(samples, values=np.repeat(one, 3, axis=1)), TRUTH.model)
+    assert once.confidence is not None
+    assert thrice.confidence is not None
+    (alone,) = (of for of in once.confidence["parameters"] if of["name"] == "alpha")
+    (together,) = (of for of in thrice.confidence["parameters"] if of["name"] == "alpha")
+    # but for the leverages, of which each copy has a third; taken as independent they would give 1/sqrt(3)
+    assert together["value"] == pytest.approx(alone["value"], rel=1e-4)
+    assert together["std_error"] == pytest.approx(alone["std_error"], rel=0.05)
+
+
+def test_interval_of_what_few_values_bear_on() -> None:
+    # a weighted mean: an albedo of which three values at 45 degrees make three quarters, all errors being equal;
+    # a hundred channels are a hundred experiments
+    theta = np.radians(np.concatenate([np.full(3, 45.0), np.full(100, 3.0)]))
+    weights = np.cos(theta) ** 2 * np.sin(theta) ** 2  # of ngan_l2
+    leverage = weights / weights.sum()
+    rng = np.random.default_rng(9)
+    channels = tuple(f"c{n}" for n in range(100))
+    held = []
+    for _ in range(10):
+        values = 0.4 + 0.02 * rng.standard_normal((len(theta), len(channels)))
+        samples = Samples.of_directions(theta, theta, np.ones(len(theta)), values, channels)
+        certain = fit(samples, "lambert").confidence
+        assert certain is not None
+        for y, albedo in zip(values.T, certain["parameters"], strict=True):
+            # by hand: HC3's standard error, and Student's quantile for the degrees of freedom of its square
+            q = leverage * (y - leverage @ y) / (1.0 - leverage)
+            freedom = 3.0 * np.sum(q**2) ** 2 / np.sum(q**4) - 2.0
+            assert albedo["value"] == pytest.approx(np.pi * leverage @ y)
+            assert albedo["std_error"] == pytest.approx(np.pi * np.sqrt(np.sum(q**2)))
+            half = stats.t.ppf(0.975, freedom) * albedo["std_error"]
+            assert albedo["upper"] - albedo["value"] == pytest.approx(half)
+            held.append(albedo["lower"] <= 0.4 * np.pi <= albedo["upper"])
+    # without the leverage it is 0.90, with the normal quantile 0.86
+    assert abs(np.mean(held) - 0.95) < 3.0 * np.sqrt(0.95 * 0.05 / len(held))
 
 
 @pytest.mark.slow

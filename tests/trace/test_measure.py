@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import subprocess
@@ -253,37 +254,54 @@ def test_table_before_the_first_batch():
 
 
 MEMORY = """
+import json
 import sys
-from pathlib import Path
 from pathlib import Path
 from gonio.trace.measure import measure
 from microgeometry.specimen import parse_specimen
-step, rays, out = float(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
-s = parse_specimen({"surface": {"kind": "gaussian", "alpha": 0.5, "samples": 128, "size": 16},
-                    "material": {"kind": "conductor", "name": "Au"},
-                    "grid": {"theta_step_deg": step, "phi_step_deg": step}})
+layers, step, rays, out = json.loads(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
+s = parse_specimen({**layers, "grid": {"theta_step_deg": step, "phi_step_deg": step}})
 measure(s, rays=rays, checkpoint=out, every=5.0).save(out)
 peak = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
 print(int(peak.split()[1]) * 1024)
 """
+COLOURED = {"kind": "lambert", "albedo": [0.7, 0.5, 0.3]}
+GLAZE = {"kind": "dielectric", "eta": 1.5}
+SCATTERING = {"sigma_a": 0.2, "sigma_s": 0.8, "thickness": 2.0, "units": "um"}
+BY_ESTIMATOR = {
+    "half-vector": {"surface": gaussian(0.5), "material": {"kind": "conductor", "name": "Au"}},
+    "next-event": {"surface": {"kind": "v_groove", "slope_deg": 40}, "material": COLOURED},
+    "next-event in a stack": {
+        "layer": [
+            {"surface": {"kind": "flat"}, "material": GLAZE, "medium": SCATTERING},
+            {"surface": {"kind": "flat"}, "material": COLOURED},
+        ]
+    },
+}
 
 
-def peak_memory(step, rays, out):
+def peak_memory(name, step, rays, out):
     """Bytes that a process needs at most to trace an RGB table, with checkpoints, and to save it.
 
     As Linux tells it; ru_maxrss of a child starts at the memory of its parent, the whole test run.
     """
-    command = [sys.executable, "-c", MEMORY, str(step), str(rays), str(out)]
+    command = [sys.executable, "-c", MEMORY, json.dumps(BY_ESTIMATOR[name]), str(step), str(rays), str(out)]
     return int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells peak memory")
 
 
+by_estimator = pytest.mark.parametrize(
+    "name", ["half-vector", *(pytest.param(n, marks=pytest.mark.slow) for n in list(BY_ESTIMATOR)[1:])]
+)
+
+
 @needs_proc
 @pytest.mark.compiled
-def test_memory_of_a_one_degree_table_is_flat_in_rays(tmp_path):
-    few, many = (peak_memory(1, rays, tmp_path / "t.h5") for rays in (100_000, 4_000_000))
+@by_estimator
+def test_memory_of_a_one_degree_table_is_flat_in_rays(name, tmp_path):
+    few, many = (peak_memory(name, 1, rays, tmp_path / "t.h5") for rays in (100_000, 4_000_000))
     assert many < 2**30
     assert many < 1.1 * few
 
@@ -291,6 +309,7 @@ def test_memory_of_a_one_degree_table_is_flat_in_rays(tmp_path):
 @needs_proc
 @pytest.mark.slow
 @pytest.mark.compiled
-def test_a_half_degree_table_fits_in_four_gigabytes(tmp_path):
+@pytest.mark.parametrize("name", BY_ESTIMATOR)
+def test_a_half_degree_table_fits_in_four_gigabytes(name, tmp_path):
     """11.7 million cells, each of three channels, with checkpoints."""
-    assert peak_memory(0.5, 100_000, tmp_path / "t.h5") < 4 * 2**30
+    assert peak_memory(name, 0.5, 100_000, tmp_path / "t.h5") < 4 * 2**30
