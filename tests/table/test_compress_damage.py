@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from gonio.formats import hdf5
+from gonio.formats import hdf5_data
 from gonio.table.compress import METHODS, compress
 from gonio.table.table import Table
 from microgeometry.errors import InputError
@@ -84,7 +84,7 @@ def test_bytes_the_codec_would_trust_are_checked_before(tmp_path, method):
 @pytest.mark.parametrize("method", METHODS)
 def test_content_that_shrinks_to_nothing(tmp_path, method, monkeypatch):
     """A codec may need less than a thousandth of what it decodes to; reading must not take that for damage."""
-    monkeypatch.setattr(hdf5, "_MAX_RATIO", 5)  # for tables hundreds of times as large
+    monkeypatch.setattr(hdf5_data, "_MAX_RATIO", 5)  # for tables hundreds of times as large
     table = make(lambert, grid(45, 60, 90))
     report = compress(table, tmp_path / "c.h5", method=method)
     assert report.error_worst <= 0.01
