@@ -92,19 +92,24 @@ class Samples:
             raise InputError(
                 f"table: no cell is left to fit ({why}); a fit needs measured cells below the limit"
             )
-        cells = np.argwhere(used).astype(np.int32)
-        sin_i, sin_o = _row_sines(table), _ring_sines(table)
-        cos_i = np.cos(table.theta_i)
-        i, r, s = cells.T
+        index = np.flatnonzero(used)
+
+        def cells_of(by_axis: NDArray[Any]) -> NDArray[Any]:
+            return np.broadcast_to(by_axis, used.shape)[used]
+
+        def rows_of(by_cell: Array) -> Array:  # several times faster than a mask
+            return np.take(by_cell.reshape(-1, len(table.channels)), index, axis=0)
+
+        axes = np.ogrid[tuple(slice(0, n) for n in used.shape)]
         widths = np.diff(table.delta_phi_edges)
         return cls(
             grid=Grid.of_table(table),
-            cells=cells,
-            values=table.values[used],
-            variance=None if variance is None else variance[used],
-            cos_i=cos_i[i],
-            sin_i=sin_i[i],
-            sin_o=sin_o[r] * (widths / widths.mean())[s],
+            cells=np.stack([cells_of(axis.astype(np.int32)) for axis in axes], axis=1),
+            values=rows_of(table.values),
+            variance=None if variance is None else rows_of(variance),
+            cos_i=cells_of(np.cos(table.theta_i)[:, None, None]),
+            sin_i=cells_of(_row_sines(table)[:, None, None]),
+            sin_o=cells_of(_ring_sines(table)[:, None] * (widths / widths.mean())),
             channels=table.channels,
             left_out=left_out,
             wavelengths_nm=table.wavelengths_nm,

@@ -247,10 +247,26 @@ def test_chosen_where_light_scatters_evenly_in_sight_of_detectors():
             choose(specimen(*layers), 0, NEXT_EVENT)
 
 
-def coverage(layers, rays, runs, **grid):
+@pytest.mark.compiled
+@pytest.mark.parametrize(("layers", "target"), [((GROOVE,), 0.05), (RAYLEIGH_SLAB, 0.2)])
+def test_a_target_is_met_or_said_not_to_be(layers, target):
+    spec = specimen(*layers)
+    table = measure(spec, rays=500_000, seed=3, target_error=target, estimator=NEXT_EVENT)
+    assert table.provenance["target_met"] is True
+    assert table.ledger["paths"] < 400_000
+    assert np.all(table.albedo_std_error <= 0.1 * target * table.row_albedo)
+    for values, errors in zip(table.values, table.std_error, strict=True):
+        assert np.quantile(errors / values, 0.95) < 1.2 * target  # over all cells, also those without light
+    short = measure(spec, rays=20_000, seed=3, target_error=0.1 * target, estimator=NEXT_EVENT)
+    assert short.provenance["target_met"] is False
+
+
+def coverage(layers, rays, runs, target=None, **grid):
     """How often intervals of 1.96 errors hold the mean of all runs, and the standard error of that."""
     spec = specimen(*layers, **grid)
-    tables = [measure(spec, rays=rays, seed=seed, estimator=NEXT_EVENT) for seed in range(runs)]
+    tables = [
+        measure(spec, rays=rays, seed=seed, target_error=target, estimator=NEXT_EVENT) for seed in range(runs)
+    ]
     truth = np.mean([table.values for table in tables], axis=0)
     # of that mean, so much is the run's own
     allowed = 1.96 * np.sqrt(1.0 - 1.0 / runs)
@@ -262,6 +278,13 @@ def coverage(layers, rays, runs, **grid):
 @pytest.mark.parametrize("name", ["gaussian", "rayleigh"])
 def test_intervals_cover(name):
     mean, error = coverage(CASES[name], 5_000, 30)
+    assert mean + 3 * error > 0.93
+    assert mean - 3 * error < 0.97
+
+
+@pytest.mark.compiled
+def test_intervals_cover_where_rows_got_rays_by_their_errors():
+    mean, error = coverage(RAYLEIGH_SLAB, 20_000, 30, target=0.3)
     assert mean + 3 * error > 0.93
     assert mean - 3 * error < 0.97
 
