@@ -42,7 +42,7 @@ from gonio.table.anisotropic_pool import (
     A_Y,
     GRAZING,
 )
-from gonio.table.interpolation import invert_linear
+from gonio.table.inverse import draw, draw_between
 from gonio.table.tilts import from_tilts, to_tilts
 
 
@@ -182,20 +182,8 @@ def pdf_anisotropic(pool, t, wi, wo):
 def _sample_x(pool, t, row, uniform):
     """Node j and fraction u of an x drawn from the row's marginal."""
     n_x = pool.header[t, A_X]
-    first = pool.header[t, A_MARGINAL] + 2 * row * n_x
     axis = pool.header[t, A_AXES] + pool.header[t, A_THETA]
-    target = uniform * pool.marginal[first + 2 * (n_x - 1) + 1]
-    low = 0
-    high = n_x - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if pool.marginal[first + 2 * middle + 1] <= target:
-            low = middle
-        else:
-            high = middle
-    at = first + 2 * low
-    s = (target - pool.marginal[at + 1]) / (pool.axes[axis + low + 1] - pool.axes[axis + low])
-    return low, invert_linear(pool.marginal[at], pool.marginal[at + 2], s)
+    return draw(pool.marginal, pool.header[t, A_MARGINAL] + 2 * row * n_x, n_x, pool.axes, axis, uniform)
 
 
 @kernel(allocates=False)
@@ -203,25 +191,8 @@ def _sample_y(pool, t, row, j, u, uniform):
     """Node k and fraction v of a y drawn from the row's conditional at x node j, fraction u."""
     n_y = pool.header[t, A_Y]
     inner = pool.header[t, A_MEAN] + 2 * (row * pool.header[t, A_X] + j) * n_y
-    outer = inner + 2 * n_y
     axis = pool.header[t, A_AXES] + pool.header[t, A_THETA] + pool.header[t, A_X]
-    mean = pool.mean
-    last = 2 * (n_y - 1) + 1
-    target = uniform * ((1.0 - u) * mean[inner + last] + u * mean[outer + last])
-    low = 0
-    high = n_y - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        at = 2 * middle + 1
-        if (1.0 - u) * mean[inner + at] + u * mean[outer + at] <= target:
-            low = middle
-        else:
-            high = middle
-    at = 2 * low
-    below = (1.0 - u) * mean[inner + at + 1] + u * mean[outer + at + 1]
-    p = (1.0 - u) * mean[inner + at] + u * mean[outer + at]
-    q = (1.0 - u) * mean[inner + at + 2] + u * mean[outer + at + 2]
-    return low, invert_linear(p, q, (target - below) / (pool.axes[axis + low + 1] - pool.axes[axis + low]))
+    return draw_between(pool.mean, inner, inner + 2 * n_y, n_y, u, pool.axes, axis, uniform)
 
 
 @kernel(allocates=False)

@@ -36,6 +36,7 @@ from __future__ import annotations
 import math
 
 from gonio.core.jit import kernel
+from gonio.table.inverse import draw, draw_between
 from gonio.table.pool import (
     AXES,
     BUCKETS,
@@ -247,32 +248,11 @@ def pdf_table(pool, t, wi, wo):
 
 
 @kernel(allocates=False)
-def invert_linear(p, q, s):
-    """Where on a unit segment of linear density from p to q the mass s is reached (equation 5)."""
-    root = p + math.sqrt(max(0.0, p * p + 2.0 * (q - p) * s))
-    if root <= 0.0:
-        return 0.0
-    return min(1.0, max(0.0, 2.0 * s / root))
-
-
-@kernel(allocates=False)
 def _sample_u(pool, t, row, uniform):
     """Ring k and fraction x of a u drawn from the row's marginal."""
     n_u = pool.header[t, N_U]
-    first = pool.header[t, MARGINAL] + 2 * row * n_u
     axis = pool.header[t, AXES] + pool.header[t, N_ROWS]
-    target = uniform * pool.marginal[first + 2 * (n_u - 1) + 1]
-    low = 0
-    high = n_u - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if pool.marginal[first + 2 * middle + 1] <= target:
-            low = middle
-        else:
-            high = middle
-    at = first + 2 * low
-    s = (target - pool.marginal[at + 1]) / (pool.axes[axis + low + 1] - pool.axes[axis + low])
-    return low, invert_linear(pool.marginal[at], pool.marginal[at + 2], s)
+    return draw(pool.marginal, pool.header[t, MARGINAL] + 2 * row * n_u, n_u, pool.axes, axis, uniform)
 
 
 @kernel(allocates=False)
@@ -280,25 +260,8 @@ def _sample_phi(pool, t, row, k, x, uniform):
     """Sector j and fraction y of a phi drawn from the row's conditional at ring k, fraction x."""
     n_phi = pool.header[t, N_PHI]
     inner = pool.header[t, MEAN] + 2 * (row * pool.header[t, N_U] + k) * n_phi
-    outer = inner + 2 * n_phi
     axis = pool.header[t, AXES] + pool.header[t, N_ROWS] + pool.header[t, N_U]
-    mean = pool.mean
-    last = 2 * (n_phi - 1) + 1
-    target = uniform * ((1.0 - x) * mean[inner + last] + x * mean[outer + last])
-    low = 0
-    high = n_phi - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        at = 2 * middle + 1
-        if (1.0 - x) * mean[inner + at] + x * mean[outer + at] <= target:
-            low = middle
-        else:
-            high = middle
-    at = 2 * low
-    below = (1.0 - x) * mean[inner + at + 1] + x * mean[outer + at + 1]
-    p = (1.0 - x) * mean[inner + at] + x * mean[outer + at]
-    q = (1.0 - x) * mean[inner + at + 2] + x * mean[outer + at + 2]
-    return low, invert_linear(p, q, (target - below) / (pool.axes[axis + low + 1] - pool.axes[axis + low]))
+    return draw_between(pool.mean, inner, inner + 2 * n_phi, n_phi, x, pool.axes, axis, uniform)
 
 
 @kernel(allocates=False)
