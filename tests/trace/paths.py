@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gonio.core import jit
 from gonio.core.directions import direction
 from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, PACKET_WIDTH, new_packet
 from gonio.core.jit import kernel
@@ -42,7 +43,9 @@ def _trace(
 class Paths:
     """Paths from one direction (azimuth 0: light in the xz plane, from +x), stratified over the tile."""
 
-    def __init__(self, tile, material, theta_i_deg, side=32, seed=0, max_bounces=64, horizon=True):
+    def __init__(
+        self, tile, material, theta_i_deg, side=32, seed=0, max_bounces=64, horizon=not jit.disabled
+    ):
         scene = TraceScene([tile], horizon=horizon)
         optics = pack_optics(Layer(Flat(), material))
         channels = 1
