@@ -281,7 +281,7 @@ def test_killed_fifty_times_and_resumed(spawn, tmp_path):
 @pytest.mark.compiled
 def test_ctrl_c_saves_a_table_and_goes_on(spawn, tmp_path):
     """A real SIGINT in the middle; of a run so long that it is still there when a busy machine gets to it."""
-    rays = 8_000_000
+    rays = 30_000_000
     process = spawn(tmp_path, "t.h5", rays)
     checkpoint = tmp_path / "t.h5.checkpoint"
     while not checkpoint.exists() and process.is_alive():
