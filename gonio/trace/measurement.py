@@ -15,7 +15,7 @@ from gonio.interrupt import uninterrupted
 from gonio.trace.batch import BatchTracer, Job
 from gonio.trace.combine import combine
 from gonio.trace.errors import TraceError
-from gonio.trace.estimators import NEXT_EVENT, choose
+from gonio.trace.estimators import ANALOG, FEW_FACETS, NEXT_EVENT, choose
 from gonio.trace.next_event_cells import JoinedSheet
 from gonio.trace.sheets import Sheet
 from gonio.trace.stopping import Schedule, Verdict, check_target, judge
@@ -65,6 +65,8 @@ class Measurement:
         Of the paths binned.
     half_vector : HalfVector or None
         Of single bounces, where these are not taken from the paths.
+    averages : bool
+        Whether tables are averaged by reciprocity (`gonio.trace.reciprocal`): of binned paths, unless told to bin.
     schedule : Schedule
     plan : dict
         The arguments that the result depends on.
@@ -96,13 +98,16 @@ class Measurement:
             raise InputError(f"seed: {seed}; an integer from 0 to 4294967295 is needed")
         self.specimen = specimen
         self.target_error = None if target_error is None else check_target(target_error)
+        told = estimator is not None
         estimator = choose(specimen, seed, estimator)
+        self.averages = not told and estimator in (ANALOG, FEW_FACETS)
         self.plan = {
             "seed": seed,
             "rays": rays,
             "time": seconds,
             "target error": target_error,
             "estimator": estimator,
+            "averages": self.averages,
         }
         self.threads = check_threads(threads)
         bounded = rays is not None or (seconds is None and target_error is None)
