@@ -36,7 +36,7 @@ def run(say: Callable[[str], None]) -> list[dict[str, Any]]:
     say(
         f"{'specimen':<24} {'estimator':<12} {'grid':<26} {'median error':>13} {'merit':>9} {'of analog':>10}"
     )
-    results = []
+    results: list[dict[str, Any]] = []
     for file in sorted((data_folder() / "specimens").glob("*.toml")):
         specimen = load_specimen(file)
         picked = choose(specimen, 0)
