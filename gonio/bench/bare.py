@@ -34,6 +34,7 @@ from gonio.core.jit import kernel
 from gonio.core.lookup import find
 from gonio.core.philox import uniforms
 from gonio.trace.analog import morton
+from gonio.trace.from_above import fall
 from gonio.trace.horizon import escapes
 from gonio.trace.tracer import MAX_BOUNCES
 from gonio.trace.transport import MAX_SEGMENTS, start_packet
@@ -86,8 +87,11 @@ def _trace(
         active = PACKET_WIDTH
         segments = 0
         while active > 0:
-            intersect16(embree, packet, True)
-            ledger[4] += active
+            if segments == 0 and sin_i == 0.0:
+                fall(horizon.samples, box, packet)
+            else:
+                intersect16(embree, packet, True)
+                ledger[4] += active
             segments += 1
             for lane in range(PACKET_WIDTH):
                 if ints[VALID, lane] == 0:

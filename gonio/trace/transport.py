@@ -42,6 +42,7 @@ from gonio.core.jit import kernel
 from gonio.core.optics import fresnel_amplitudes, fresnel_conductor
 from gonio.core.philox import uniforms
 from gonio.core.stokes import mueller, perpendicular, rotation
+from gonio.trace.from_above import fall, is_vertical
 from gonio.trace.horizon import escapes
 
 # How a path ended. Every path has exactly one of these.
@@ -88,10 +89,15 @@ def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
     if packet.shape[1] != PACKET_WIDTH:  # tells the compiler, which then vectorises
         return
     ints = packet.view(np.int32)
-    for lane in range(PACKET_WIDTH):
-        u, v, _, _ = uniforms(path + lane, (path + lane) >> 32, 0, 0, seed, batch)
+    half = PACKET_WIDTH // 2
+    for lane in range(half):
+        # four numbers, for two paths
+        u, v, p, q = uniforms(path + lane, (path + lane) >> 32, 0, 0, seed, batch)
         packet[ORG_X, lane] = x0 + (lane // 4 + u) * dx
         packet[ORG_Y, lane] = y0 + (lane % 4 + v) * dy
+        packet[ORG_X, lane + half] = x0 + (lane // 4 + half // 4 + p) * dx
+        packet[ORG_Y, lane + half] = y0 + (lane % 4 + q) * dy
+    for lane in range(PACKET_WIDTH):
         packet[ORG_Z, lane] = top
         packet[DIR_X, lane] = -wi[0]
         packet[DIR_Y, lane] = -wi[1]
@@ -132,7 +138,8 @@ def trace_packet(
     embree : Handle
     box : Box
     horizon : Horizon or None
-        Paths that climb past it are out without another ray.
+        Of a height field. Paths that climb past it are out without another ray, and those that come straight
+        down need none to find their first facet.
     coherent : bool
         Whether neighbouring paths start within a few facets of each other: Embree then traces them
         together, else each for itself.
@@ -172,9 +179,14 @@ def trace_packet(
     segments = 0
     active = PACKET_WIDTH
     rays = 0
+    falls = horizon is not None and is_vertical(packet)
     while active > 0:
-        intersect16(embree, packet, coherent)
-        rays += active
+        if horizon is not None and falls:
+            fall(horizon.samples, box, packet)
+            falls = False
+        else:
+            intersect16(embree, packet, coherent)
+            rays += active
         segments += 1
         arrive(box, packet, albedo is None, retreat, bounces)
         for lane in range(PACKET_WIDTH):
