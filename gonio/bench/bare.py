@@ -81,7 +81,7 @@ def _trace(
         _, v, _, _ = uniforms(16 * k, 0, 0, 1, seed, 0)
         azimuth = 2.0 * math.pi * v
         wi = (sin_i * math.cos(azimuth), sin_i * math.sin(azimuth), math.sqrt(1.0 - sin_i * sin_i))
-        start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, 0, 16 * k)
+        start_packet(packet, wi, box, 4 * i * dx, 4 * j * dy, dx, dy, seed, 0, 16 * k)
         mirror_x, mirror_y = packet[DIR_X, 0], packet[DIR_Y, 0]
         bounces[:] = 0
         active = PACKET_WIDTH

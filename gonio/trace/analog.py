@@ -153,7 +153,7 @@ def _trace_packets(
         u, v, _, _ = uniforms(path, path >> 32, 0, 1, seed, batch)
         wi, azimuth = _incident(beam, u, v)
         i, j = morton(k)
-        start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, batch, path)
+        start_packet(packet, wi, box, 4 * i * dx, 4 * j * dy, dx, dy, seed, batch, path)
         mirror_x, mirror_y, mirror_z = packet[DIR_X, 0], packet[DIR_Y, 0], packet[DIR_Z, 0]
         sums.ledger[RAYS] += trace_packet(
             embree, box, horizon, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path,

@@ -72,8 +72,8 @@ _FAR = np.float32(np.inf)
 
 
 @kernel(allocates=False)
-def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
-    """Place 16 paths on the plane z = top, one in each cell of a 4 x 4 grid of strata, heading along -wi.
+def start_packet(packet, wi, box, x0, y0, dx, dy, seed, batch, path):
+    """Place 16 paths on the plane at the top of the box, one in each cell of a 4 x 4 grid of strata, heading along -wi.
 
     Parameters
     ----------
@@ -81,6 +81,7 @@ def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
         From `gonio.core.embree.new_packet`.
     wi : direction
         Towards the light.
+    box : Box
     x0, y0, dx, dy : float
         Corner and size of one stratum, tile units.
     seed, batch, path : int
@@ -97,8 +98,12 @@ def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
         packet[ORG_Y, lane] = y0 + (lane % 4 + v) * dy
         packet[ORG_X, lane + half] = x0 + (lane // 4 + half // 4 + p) * dx
         packet[ORG_Y, lane + half] = y0 + (lane % 4 + q) * dy
+    # rounding may put a path on a face of the box, where Embree sees no facet straight below
+    low, x_high, y_high = box.lift, box.width_x - box.lift, box.width_y - box.lift
     for lane in range(PACKET_WIDTH):
-        packet[ORG_Z, lane] = top
+        packet[ORG_X, lane] = min(max(packet[ORG_X, lane], low), x_high)
+        packet[ORG_Y, lane] = min(max(packet[ORG_Y, lane], low), y_high)
+        packet[ORG_Z, lane] = box.top
         packet[DIR_X, lane] = -wi[0]
         packet[DIR_Y, lane] = -wi[1]
         packet[DIR_Z, lane] = -wi[2]

@@ -37,23 +37,18 @@ def first_hits(embree, samples, box, side, looked_up, traced):
     dx, dy = box.width_x / (4 * side), box.width_y / (4 * side)
     for k in range(side * side):
         for found in (looked_up, traced):
-            start_packet(
-                packet,
-                (0.0, 0.0, 1.0),
-                box.top,
-                4 * (k // side) * dx,
-                4 * (k % side) * dy,
-                dx,
-                dy,
-                7,
-                0,
-                16 * k,
-            )
+            x0, y0 = 4 * (k // side) * dx, 4 * (k % side) * dy
+            start_packet(packet, (0.0, 0.0, 1.0), box, x0, y0, dx, dy, 7, 0, 16 * k)
             if found is looked_up:
                 fall(samples, box, packet)
             else:
                 intersect16(embree, packet, True)
             found[k] = packet
+
+
+@kernel
+def intersect(embree, packet):
+    intersect16(embree, packet, True)
 
 
 @pytest.mark.parametrize("shape", [(64, 64), (40, 90)])
@@ -77,10 +72,22 @@ def test_hits_are_embrees(shape):
     assert same.mean() > 1.0 - _BESIDE
 
 
+@pytest.mark.parametrize("corner", [(0.0, 0.0), (1.5, 1.0)])
+def test_paths_that_start_on_a_face_of_the_box_find_a_facet(corner):
+    """Strata without width: all start in the corner."""
+    scene = TraceScene([HeightField(np.zeros((8, 8)), (1.5, 1.0))])
+    packet = new_packet()
+    x, y = np.float32(corner) * scene.box.width_x / np.float32(1.5)
+    start_packet(packet, (0.0, 0.0, 1.0), scene.box, x, y, 0.0, 0.0, 0, 0, 0)
+    intersect(scene.embree, packet)
+    assert np.all(packet.view(np.int32)[GEOM_ID] == 0)
+
+
 def test_only_packets_from_straight_above_fall():
+    box = TraceScene([HeightField(np.zeros((2, 2)), (1.0, 1.0))]).box
     packet = new_packet()
     for wi, expected in (((0.0, 0.0, 1.0), True), ((1e-6, 0.0, 1.0), False), ((0.0, -1e-6, 1.0), False)):
-        start_packet(packet, wi, 0.1, 0.0, 0.0, 0.1, 0.1, 0, 0, 0)
+        start_packet(packet, wi, box, 0.0, 0.0, 0.1, 0.1, 0, 0, 0)
         assert is_vertical(packet) == expected
 
 
