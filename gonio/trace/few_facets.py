@@ -116,11 +116,16 @@ def _trace_on_net(
     channels = energy.shape[1]
     for k in range(first, last):
         path = beam.row * points.shape[0] + k * PACKET_WIDTH
-        start_packet(packet, (0.0, 0.0, 1.0), box.top, 0.0, 0.0, 0.0, 0.0, seed, batch, path)
+        start_packet(packet, (0.0, 0.0, 1.0), box, 0.0, 0.0, 0.0, 0.0, seed, batch, path)
         for lane in range(PACKET_WIDTH):
             point = points[k * PACKET_WIDTH + lane]
-            packet[ORG_X, lane] = unit(_scramble(point[0], key[0])) * box.width_x
-            packet[ORG_Y, lane] = unit(_scramble(point[1], key[1])) * box.width_y
+            x, y = (
+                unit(_scramble(point[0], key[0])) * box.width_x,
+                unit(_scramble(point[1], key[1])) * box.width_y,
+            )
+            # as in `start_packet`: not on a face of the box
+            packet[ORG_X, lane] = min(max(x, box.lift), box.width_x - box.lift)
+            packet[ORG_Y, lane] = min(max(y, box.lift), box.width_y - box.lift)
             sin2 = beam.sin2_lower + unit(_scramble(point[2], key[2])) * (beam.sin2_upper - beam.sin2_lower)
             turn = 2.0 * math.pi * unit(_scramble(point[3], key[3]))
             cosine, sine = math.cos(turn), math.sin(turn)
