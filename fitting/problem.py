@@ -137,6 +137,13 @@ class Problem:
         value = found.objective.sum() - np.sum(moved.T * (2.0 * found.right - toward)[:, :terms])
         return Point(x, coefficients, max(0.0, float(value)) / self.norm, found.right - toward, found.gram)
 
+    def model(self, point: Point) -> Array:
+        """The model's averages over the cells, 1/sr, shape (N, C)."""
+        shapes = self.shapes(point.x)
+        factors = self.coefficients.factors(point.coefficients, self.coefficients.feedback(shapes.packed))
+        used = np.concatenate([2 * k + np.arange(n) for k, (n, _) in enumerate(self._counts)])
+        return self.samples.terms(self._kinds, shapes.packed, self.cells.levels)[:, used] @ factors
+
     def reduced(self, x: Array, coefficients: Array | None) -> Point:
         """The objective at shape parameters and the best coefficients for them, near `coefficients`."""
         if self.objective.quadratic:
