@@ -15,6 +15,7 @@ from fitting.moments import (
     Cells,
     Shapes,
     average,
+    new_scratch,
     touching,
 )
 from fitting.problem import Point, Problem, solve_scaled
@@ -175,7 +176,7 @@ def _account(
     sums, scatter, powers,
 ):  # fmt: skip
     size, terms, channels = maps.shape[2], factors.shape[0], values.shape[1]
-    v, scratch, u = np.empty(size), np.empty(2 * tangents.shape[1]), np.empty(len(inverse))
+    v, scratch, u = np.empty(size), new_scratch(tangents), np.empty(len(inverse))
     shared = weights.shape[1] == 1
     before = np.zeros(channels)  # residuals of the last cell, in standard errors
     for n in range(len(cells)):
