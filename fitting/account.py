@@ -135,7 +135,7 @@ def account(problem: Problem, point: Point) -> Account:
     if samples.variance is not None:
         metrics["chi2"] = float(total[_CHI2])
     square, fourth = powers.sum(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         freedom = 3.0 * square**2 / fourth - 2.0
     return Account(
         metrics,

@@ -18,8 +18,9 @@ from fitting.problem import Point, Problem
 
 Array = NDArray[np.float64]
 
-_GROUP = 500  # values
-_GROUPS = 200  # at most
+_GROUP = 100  # values in the brightest group: there few bear on much, and their scatter is not one
+_GROWTH = 1.2  # from there to the next group
+_SHARE = 0.02  # of all values: the largest group
 _BANDWIDTH = 0.2  # of the scatter: the density comes out 2 % low, and of 500 values to 8 %
 _NODES = np.polynomial.legendre.leggauss(16)
 
@@ -53,10 +54,14 @@ def mean_curvature(brightness: Array, d: Array, scale: float) -> Array:
     -------
     ndarray, same shape
     """
-    order = np.argsort(brightness, axis=None)
+    order = np.argsort(-brightness, axis=None)
     flat, out = d.ravel(), np.empty(d.size)
-    for group in np.array_split(order, max(1, min(_GROUPS, d.size // _GROUP))):
+    first, size = 0, _GROUP
+    while first < len(order):
+        last = first + size if len(order) - first >= 2 * size else len(order)
+        group = order[first:last]
         out[group] = _curvature(flat[group], scale)
+        first, size = last, min(int(_GROWTH * size), max(_GROUP, int(_SHARE * len(order))))
     return out.reshape(d.shape)
 
 
