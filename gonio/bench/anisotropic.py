@@ -24,7 +24,7 @@ from microgeometry.grid import ANISOTROPIC_THETA_I_DEG, Grid
 Array = NDArray[np.float64]
 
 _ALPHA = 0.28, 0.01
-_ANGLES_DEG = (5, 15, 25, 35, 45, 55, 65, 70, 75, 80)
+_ANGLES_DEG = (5, 15, 25, 35, 45, 55, 65, 70, 75, 80, 83, 85)
 _INCIDENCES = 6  # azimuths an angle
 _SAMPLES = 400_000
 _REPEATS = 3

@@ -15,7 +15,7 @@ from gonio.core.directions import direction
 from gonio.table import anisotropic_interpolation as kernels
 from gonio.table.anisotropic_pool import AnisotropicPool, pool_anisotropic
 from gonio.table.table import flat
-from gonio.table.tilts import tilt_measures
+from gonio.table.tilts import slope_widths, tilt_measures
 from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
@@ -277,12 +277,13 @@ def tabulate_brdf(
     theta: Array = np.asarray(theta_i, float)
     phi: Array = 2.0 * np.pi / n_phi * np.arange(n_phi, dtype=np.float64)
     x, y = (_refined(edges, finer) for edges in (tilt_x_edges, tilt_y_edges))
+    widths = slope_widths(tilt_x_edges, tilt_y_edges)
     n_x, n_y = len(tilt_x_edges) - 1, len(tilt_y_edges) - 1
     energy = np.empty((len(theta), n_phi, n_x, n_y, len(channels)), np.float32)
     for a in range(len(theta)):
         for b in range(n_phi):
             wi = direction(theta[a], phi[b])
-            wo, areas = tilt_measures(wi, x, y)
+            wo, areas = tilt_measures(wi, x, y, widths)
             values = brdf(np.broadcast_to(wi, (areas.size, 3)), wo.reshape(-1, 3)) * areas.reshape(-1, 1)
             energy[a, b] = values.reshape(n_x, finer, n_y, finer, -1).sum(axis=(1, 3))
     return AnisotropicTable(
