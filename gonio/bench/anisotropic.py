@@ -70,7 +70,7 @@ def run(say: Callable[[str], None]) -> dict[str, Any]:
         sums = np.zeros(2)
         for _ in range(_INCIDENCES):
             wi = direction(np.radians(angle + rng.uniform(-2, 2)), rng.uniform(0, 2 * np.pi))
-            wo, areas = tilt_measures(wi, *fine)
+            wo, areas = tilt_measures(wi, fine[0], fine[1])
             wo = wo.reshape(-1, 3)
             exact = brdf(np.broadcast_to(wi, wo.shape), wo)
             sums += [

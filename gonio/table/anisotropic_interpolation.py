@@ -197,23 +197,6 @@ def pdf_anisotropic(pool, t, wi, wo):
 
 
 @kernel(allocates=False)
-def _sample_x(pool, t, row, uniform):
-    """Node j and fraction u of an x drawn from the row's marginal."""
-    n_x = pool.header[t, A_X]
-    axis = pool.header[t, A_AXES] + pool.header[t, A_THETA]
-    return draw(pool.marginal, pool.header[t, A_MARGINAL] + 2 * row * n_x, n_x, pool.axes, axis, uniform)
-
-
-@kernel(allocates=False)
-def _sample_y(pool, t, row, j, u, uniform):
-    """Node k and fraction v of a y drawn from the row's conditional at x node j, fraction u."""
-    n_y = pool.header[t, A_Y]
-    inner = pool.header[t, A_MEAN] + 2 * (row * pool.header[t, A_X] + j) * n_y
-    axis = pool.header[t, A_AXES] + pool.header[t, A_THETA] + pool.header[t, A_X]
-    return draw_between(pool.mean, inner, inner + 2 * n_y, n_y, u, pool.axes, axis, uniform)
-
-
-@kernel(allocates=False)
 def sample_anisotropic(pool, t, wi, u0, u1, u2):
     """Draw `wo` about in proportion to the channel mean of f cos(theta_o), without the delta term.
 
@@ -250,12 +233,15 @@ def sample_anisotropic(pool, t, wi, u0, u1, u2):
             if left < share:
                 break
         left -= share
-    j, u = _sample_x(pool, t, chosen, u0)
-    k, v = _sample_y(pool, t, chosen, j, u, u1)
-    axis = header[t, A_AXES] + header[t, A_THETA]
-    x = (1.0 - u) * pool.axes[axis + j] + u * pool.axes[axis + j + 1]
-    axis += header[t, A_X]
-    y = (1.0 - v) * pool.axes[axis + k] + v * pool.axes[axis + k + 1]
+    n_x, n_y = header[t, A_X], header[t, A_Y]
+    axis_x = header[t, A_AXES] + header[t, A_THETA]
+    axis_y = axis_x + n_x
+    axes = pool.axes
+    j, u = draw(pool.marginal, header[t, A_MARGINAL] + 2 * chosen * n_x, n_x, axes, axis_x, u0)
+    inner = header[t, A_MEAN] + 2 * (chosen * n_x + j) * n_y
+    k, v = draw_between(pool.mean, inner, inner + 2 * n_y, n_y, u, axes, axis_y, u1)
+    x = (1.0 - u) * axes[axis_x + j] + u * axes[axis_x + j + 1]
+    y = (1.0 - v) * axes[axis_y + k] + v * axes[axis_y + k + 1]
     wo = from_tilts(wi, x, y, (pool.widths[t, 0], pool.widths[t, 1]))
     return wo, pdf_anisotropic(pool, t, wi, wo)
 
@@ -276,35 +262,3 @@ def row_quantities_anisotropic(pool, t, wi, albedo, specular):
         for channel in range(n):
             albedo[channel] += weight * pool.rows[first + channel]
             specular[channel] += weight * pool.rows[first + n + channel]
-
-
-@kernel(allocates=False)
-def eval_anisotropic_many(pool, t, wi, wo, out):
-    """`eval_anisotropic` for arrays of directions, shape (N, 3), into `out`, shape (N, C)."""
-    for n in range(len(wi)):
-        eval_anisotropic(pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), (wo[n, 0], wo[n, 1], wo[n, 2]), out[n])
-
-
-@kernel(allocates=False)
-def pdf_anisotropic_many(pool, t, wi, wo, out):
-    """`pdf_anisotropic` for arrays of directions, shape (N, 3), into `out`, shape (N,)."""
-    for n in range(len(wi)):
-        out[n] = pdf_anisotropic(pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), (wo[n, 0], wo[n, 1], wo[n, 2]))
-
-
-@kernel(allocates=False)
-def sample_anisotropic_many(pool, t, wi, uniforms, wo, pdf):
-    """`sample_anisotropic` for arrays, `wi` and `uniforms` of shape (N, 3), into `wo` (N, 3) and `pdf` (N,)."""
-    for n in range(len(wi)):
-        drawn, density = sample_anisotropic(
-            pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), uniforms[n, 0], uniforms[n, 1], uniforms[n, 2]
-        )
-        wo[n, 0], wo[n, 1], wo[n, 2] = drawn
-        pdf[n] = density
-
-
-@kernel(allocates=False)
-def row_quantities_anisotropic_many(pool, t, wi, albedo, specular):
-    """`row_quantities_anisotropic` for directions of shape (N, 3), into arrays of shape (N, C)."""
-    for n in range(len(wi)):
-        row_quantities_anisotropic(pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), albedo[n], specular[n])

@@ -89,17 +89,19 @@ def pool_anisotropic(tables: Sequence[AnisotropicTable]) -> AnisotropicPool:
         header[t, :A_VALUES] = sizes
         if t > 0:
             header[t, A_VALUES:] = header[t - 1, A_VALUES:] + [a.size for a in layouts[t - 1][1]]
-    widths = np.array([slope_widths(table.tilt_x_edges, table.tilt_y_edges) for table in tables]).reshape(
-        -1, 2
-    )
+    widths = np.zeros((len(tables), 2))
+    for t, table in enumerate(tables):
+        widths[t] = slope_widths(table.tilt_x_edges, table.tilt_y_edges)
     dtypes = (np.float32, np.float32, np.float64, np.float64, np.float64)
     if len(layouts) == 1:  # tens of megabytes: not twice
-        return AnisotropicPool(header, *(a.ravel() for a in layouts[0][1]), widths)
-    flat = [
-        np.concatenate([arrays[n].ravel() for _, arrays in layouts] or [np.zeros(0, dtype)])
-        for n, dtype in enumerate(dtypes)
-    ]
-    return AnisotropicPool(header, *flat, widths)
+        flat = [array.ravel() for array in layouts[0][1]]
+    else:
+        flat = [
+            np.concatenate([arrays[n].ravel() for _, arrays in layouts] or [np.zeros(0, dtype)])
+            for n, dtype in enumerate(dtypes)
+        ]
+    values, mean, axes, rows, marginal = flat
+    return AnisotropicPool(header, values, mean, axes, rows, marginal, widths)
 
 
 def _layout(table: AnisotropicTable) -> tuple[tuple[int, ...], list[NDArray]]:
