@@ -127,6 +127,16 @@ def test_diffuse_light_is_followed_to_the_horizon():
             assert error_between_rows(table, lambert, np.radians(theta), phi, fine) < most
 
 
+def test_no_seam_where_a_row_ends_at_its_horizon():
+    """Rows at 60 and 80 degrees that disagree: seen from 70, the latter's horizon stands at theta_r = 80."""
+    table = table_of(0.35, 0.35, n_phi=4, cells=33, theta_i=np.radians([60, 80]))
+    factor = np.array([3.0, 1.0])[:, None, None]
+    table = table.replace(energy=table.energy * factor[..., None, None], row_albedo=table.row_albedo * factor)
+    wi = direction(np.radians(70), 0.0)
+    before, after = table.eval(wi, direction(np.radians([79.99, 80.01]), np.pi))[:, 0]
+    assert before == pytest.approx(after, rel=0.01)
+
+
 def test_sampling_and_density(satin):
     report = validate(
         satin.eval, satin.sample, satin.pdf, "satin", (0.3, 0.9, 1.3), 100_000, reciprocal=False,
