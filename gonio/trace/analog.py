@@ -108,7 +108,7 @@ def trace_surface(
     ----------
     embree : Handle
     box : Box
-    horizon : Horizon or None
+    horizon : Horizon
     coherent : bool
         As in `trace_packet`.
     eta_k, albedo : ndarray or None
