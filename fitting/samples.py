@@ -76,8 +76,13 @@ class Samples:
         inside = (table.theta_i <= limit)[:, None, None] & (table.theta_r <= limit)[None, :, None]
         inside = np.broadcast_to(inside, table.values.shape[:3])
         gaps = np.zeros(inside.shape, bool) if table.gaps is None else table.gaps
-        used = inside & ~gaps
-        reasons = {f"theta above {theta_limit_deg:g} degrees": ~inside, "gap": inside & gaps}
+        repeated = inside & ~gaps & _repeated(table)
+        used = inside & ~gaps & ~repeated
+        reasons = {
+            f"theta above {theta_limit_deg:g} degrees": ~inside,
+            "gap": inside & gaps,
+            "repeats the cell of exchanged directions": repeated,
+        }
         variance = None if table.std_error is None else _smooth(table, ~gaps)
         if variance is not None and not np.any(variance[used] > 0):
             variance = None  # errors all zero say nothing
@@ -191,6 +196,16 @@ class Samples:
     def terms(self, kinds: NDArray[np.int64], shapes: Array, levels: int | NDArray[np.int8]) -> Array:
         """Cell averages of a model's terms, shape (N, 2 L)."""
         return self.grid.terms(kinds, shapes, self.cells, levels)
+
+
+def _repeated(table: Table) -> NDArray[np.bool_]:
+    """One cell of each pair (i, o), (o, i) that a table averaged by reciprocity holds twice, shape (I, R, 1).
+
+    By turns that of the larger and of the smaller theta_i, so that neither half weighs more.
+    """
+    row, ring = np.ogrid[: len(table.theta_i), : len(table.theta_r)]
+    averaged = "reciprocity" in table.provenance  # see `gonio.trace.reciprocal`
+    return (averaged & (row != ring) & ((row < ring) == ((row + ring) % 2 == 0)))[:, :, None]
 
 
 def _smooth(table: Table, usable: NDArray[np.bool_]) -> Array:
