@@ -1,4 +1,4 @@
-"""The table's own format: HDF5 with dimension scales, version 1.2.
+"""The table's own format: HDF5 with dimension scales, version 1.3.
 
 Root attributes: ``format`` = "gonio-table", ``version``, ``conventions`` (angles and units in words), and
 ``ledger`` and ``provenance`` as JSON. Datasets carry the field names of `Table`, their ``units``, and a
@@ -10,7 +10,7 @@ A table whose values are compressed has, in place of ``values``, a group ``compr
 its own scales, so that xarray opens a group like the file. A highlight on a grid of its own is the group
 ``peak`` (see `gonio.table.peak`). Readers accept any minor version of their own major version.
 
-Version 1.1 added parts, version 1.2 the peak.
+Version 1.1 added parts, version 1.2 the peak, version 1.3 the peak compressed.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from gonio.table.table import Table
 from microgeometry.errors import InputError
 
 FORMAT = "gonio-table"
-VERSION = "1.2"
+VERSION = "1.3"
 _CONVENTIONS = (
     "values are BRDF f_r in 1/sr without cosine, averaged over cells in projected solid angle; theta_i and "
     "theta_r are polar angles of the outward directions to light and detector; delta_phi = |phi_i - phi_r| "

@@ -99,6 +99,8 @@ class CompressionReport:
     ----------
     bytes : int
         Size of the file.
+    content : int
+        Of these, what stands for the values.
     ratio : float
         Size of all values as float32 over the size of the file.
     max_error : float
@@ -117,6 +119,7 @@ class CompressionReport:
     """
 
     bytes: int
+    content: int
     ratio: float
     max_error: float
     error_worst: float
@@ -215,6 +218,7 @@ def compress(
     size = path.stat().st_size
     return CompressionReport(
         bytes=size,
+        content=sum(stored_bytes(each) for each in content.values()),
         ratio=4 * table.values.size * len(tables) / size,
         max_error=max_error,
         error_worst=float(every_error.max()),
