@@ -34,6 +34,7 @@ from gonio.core.jit import kernel
 from gonio.core.lookup import find
 from gonio.core.philox import uniforms
 from gonio.trace.analog import morton
+from gonio.trace.from_above import fall
 from gonio.trace.horizon import escapes
 from gonio.trace.tracer import MAX_BOUNCES
 from gonio.trace.transport import MAX_SEGMENTS, start_packet
@@ -80,14 +81,17 @@ def _trace(
         _, v, _, _ = uniforms(16 * k, 0, 0, 1, seed, 0)
         azimuth = 2.0 * math.pi * v
         wi = (sin_i * math.cos(azimuth), sin_i * math.sin(azimuth), math.sqrt(1.0 - sin_i * sin_i))
-        start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, 0, 16 * k)
+        start_packet(packet, wi, box, 4 * i * dx, 4 * j * dy, dx, dy, seed, 0, 16 * k)
         mirror_x, mirror_y = packet[DIR_X, 0], packet[DIR_Y, 0]
         bounces[:] = 0
         active = PACKET_WIDTH
         segments = 0
         while active > 0:
-            intersect16(embree, packet, True)
-            ledger[4] += active
+            if segments == 0 and sin_i == 0.0:
+                fall(horizon.samples, box, packet)
+            else:
+                intersect16(embree, packet, True)
+                ledger[4] += active
             segments += 1
             for lane in range(PACKET_WIDTH):
                 if ints[VALID, lane] == 0:

@@ -147,12 +147,13 @@ def _trace_packets(
     packets = part.strata_x * part.strata_y
     dx = box.width_x / (4 * part.strata_x)
     dy = box.width_y / (4 * part.strata_y)
+    ints = packet.view(np.int32)
     for k in range(part.first, part.last):
         path = (beam.row * packets + k) * PACKET_WIDTH
         u, v, _, _ = uniforms(path, path >> 32, 0, 1, seed, batch)
         wi, azimuth = _incident(beam, u, v)
         i, j = morton(k)
-        start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, batch, path)
+        start_packet(packet, wi, box, 4 * i * dx, 4 * j * dy, dx, dy, seed, batch, path)
         mirror_x, mirror_y, mirror_z = packet[DIR_X, 0], packet[DIR_Y, 0], packet[DIR_Z, 0]
         sums.ledger[RAYS] += trace_packet(
             embree, box, horizon, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path,
@@ -162,13 +163,15 @@ def _trace_packets(
             _exit_by_tilt(packet, wi)
         else:
             _exit(packet, azimuth)
+        for lane in range(PACKET_WIDTH):  # all cells before the first is read: the caches' misses overlap
+            ints[HIT_U, lane] = _cell(bins, packet[HIT_U, lane], packet[HIT_V, lane])
         for lane in range(PACKET_WIDTH):
             x, y = packet[DIR_X, lane], packet[DIR_Y, lane]
             # a facet parallel to the macroscopic plane leaves these two components untouched, to the bit;
             # no other path ends so but by a chance of 1e-14
             delta = albedo is None and x == mirror_x and y == mirror_y
             _count(
-                to_channels, bins, sums, packet[HIT_U, lane], packet[HIT_V, lane], status[lane], bounces[lane],
+                to_channels, bins, sums, ints[HIT_U, lane], status[lane], bounces[lane],
                 delta, False, weight[lane],
             )  # fmt: skip
             if bins.peak >= 0 and status[lane] == REFLECTED and not delta:
@@ -248,7 +251,9 @@ def _trace_paths(
             else:
                 sin2, cosine = _coordinates(wo[0], wo[1], wo[2], azimuth)
             joined = joined and status == REFLECTED
-            _count(to_channels, bins, sums, sin2, cosine, status, bounces, straight, joined, weight)
+            _count(
+                to_channels, bins, sums, _cell(bins, sin2, cosine), status, bounces, straight, joined, weight
+            )
             if bins.peak >= 0 and status == REFLECTED and not straight:
                 half = wi[0] + wo[0], wi[1] + wo[1], wi[2] + wo[2]
                 _count_peak(to_channels, bins, sums, half, azimuth, bounces, weight)
@@ -364,8 +369,8 @@ def _in_channel(to_channels, channel, weight):
 
 
 @kernel(inline=True, allocates=False)
-def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, joined, weight):
-    """Add what is left of one path (`weight`, shape (S,)) to where it ended, from `_coordinates`.
+def _count(to_channels, bins, sums, cell, status, bounces, delta, joined, weight):
+    """Add what is left of one path (`weight`, shape (S,)) to where it ended, and to the cell it left through.
 
     In no cell, where it was joined to detectors.
     """
@@ -380,19 +385,27 @@ def _count(to_channels, bins, sums, sin2, cosine, status, bounces, delta, joined
         sheet = 0
     if status == TRANSMITTED:
         sheet += bins.orders
-    sectors = bins.phi.edges.shape[0] - 1
-    ring = find(bins.theta, sin2)
-    cell = ring * sectors + find(bins.phi, -cosine)
     channels = sums.energy.shape[1]
-    for channel in range(channels):
-        w = _in_channel(to_channels, channel, weight)
-        sums.energy[sheet, channel] += w
-        if delta:
-            sums.specular[sheet, channel] += w
-        elif not joined:
-            sums.cells[sheet, cell, channel] += w
-    if not delta and not joined:
+    if delta:
+        _add_weight(to_channels, sums.specular[sheet], channels, weight)
+    elif not joined:
+        _add_weight(to_channels, sums.cells[sheet, cell], channels, weight)
         sums.cells[sheet, cell, channels] += 1.0
+    _add_weight(to_channels, sums.energy[sheet], channels, weight)
+
+
+@kernel(inline=True, allocates=False)
+def _add_weight(to_channels, total, channels, weight):
+    """Add the weights of the samples to those of the table's channels; the first apart: it may be alone."""
+    total[0] += _in_channel(to_channels, 0, weight)
+    for channel in range(1, channels):
+        total[channel] += _in_channel(to_channels, channel, weight)
+
+
+@kernel(inline=True, allocates=False)
+def _cell(bins, sin2, cosine):
+    """Number of a cell from `_coordinates`."""
+    return find(bins.theta, sin2) * (bins.phi.edges.shape[0] - 1) + find(bins.phi, -cosine)
 
 
 @kernel(allocates=False)

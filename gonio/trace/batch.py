@@ -33,7 +33,7 @@ MAX_PASSES = 255
 _BATCHES = (
     1 << 24
 )  # a pass is a batch of its own to the random numbers: pass p of batch b is b + p * _BATCHES
-_UNITS = 32  # units of work in a batch, at least: enough for any desktop's threads to share evenly
+_UNITS = 16  # units of work in a batch, at least: enough for any desktop's threads to share evenly
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,8 @@ class Horizon(NamedTuple):
     per_x: np.float32
     per_y: np.float32
     """Blocks per unit of length."""
+    samples: Field
+    """Of the height field, for `gonio.trace.from_above.fall`."""
 
 
 def find_horizon(z: NDArray[np.float64], width_x: float, width_y: float) -> Horizon:
@@ -63,6 +65,7 @@ def find_horizon(z: NDArray[np.float64], width_x: float, width_y: float) -> Hori
         Period, in the same unit.
     """
     nx, ny = z.shape
+    samples = np.pad(z, ((0, 1), (0, 1)), mode="wrap").astype(np.float32)
     mx, my = max(1, nx // _SAMPLES), max(1, ny // _SAMPLES)
     z = np.pad(z.astype(np.float32), ((0, _SAMPLES), (0, _SAMPLES)), mode="wrap")
     high, low = np.empty((mx, my), np.float32), np.empty((mx, my), np.float32)
@@ -83,6 +86,7 @@ def find_horizon(z: NDArray[np.float64], width_x: float, width_y: float) -> Hori
         np.stack([low, 1.0 / np.maximum(high - low, np.float32(1e-9))], axis=-1),
         np.float32(mx / width_x),
         np.float32(my / width_y),
+        samples,
     )
 
 

@@ -42,6 +42,7 @@ from gonio.core.jit import kernel
 from gonio.core.optics import fresnel_amplitudes, fresnel_conductor
 from gonio.core.philox import uniforms
 from gonio.core.stokes import mueller, perpendicular, rotation
+from gonio.trace.from_above import fall, is_vertical
 from gonio.trace.horizon import escapes
 
 # How a path ended. Every path has exactly one of these.
@@ -71,8 +72,8 @@ _FAR = np.float32(np.inf)
 
 
 @kernel(allocates=False)
-def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
-    """Place 16 paths on the plane z = top, one in each cell of a 4 x 4 grid of strata, heading along -wi.
+def start_packet(packet, wi, box, x0, y0, dx, dy, seed, batch, path):
+    """Place 16 paths on the plane at the top of the box, one in each cell of a 4 x 4 grid of strata, heading along -wi.
 
     Parameters
     ----------
@@ -80,6 +81,7 @@ def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
         From `gonio.core.embree.new_packet`.
     wi : direction
         Towards the light.
+    box : Box
     x0, y0, dx, dy : float
         Corner and size of one stratum, tile units.
     seed, batch, path : int
@@ -88,11 +90,20 @@ def start_packet(packet, wi, top, x0, y0, dx, dy, seed, batch, path):
     if packet.shape[1] != PACKET_WIDTH:  # tells the compiler, which then vectorises
         return
     ints = packet.view(np.int32)
-    for lane in range(PACKET_WIDTH):
-        u, v, _, _ = uniforms(path + lane, (path + lane) >> 32, 0, 0, seed, batch)
+    half = PACKET_WIDTH // 2
+    for lane in range(half):
+        # four numbers, for two paths
+        u, v, p, q = uniforms(path + lane, (path + lane) >> 32, 0, 0, seed, batch)
         packet[ORG_X, lane] = x0 + (lane // 4 + u) * dx
         packet[ORG_Y, lane] = y0 + (lane % 4 + v) * dy
-        packet[ORG_Z, lane] = top
+        packet[ORG_X, lane + half] = x0 + (lane // 4 + half // 4 + p) * dx
+        packet[ORG_Y, lane + half] = y0 + (lane % 4 + q) * dy
+    # rounding may put a path on a face of the box, where Embree sees no facet straight below
+    low, x_high, y_high = box.lift, box.width_x - box.lift, box.width_y - box.lift
+    for lane in range(PACKET_WIDTH):
+        packet[ORG_X, lane] = min(max(packet[ORG_X, lane], low), x_high)
+        packet[ORG_Y, lane] = min(max(packet[ORG_Y, lane], low), y_high)
+        packet[ORG_Z, lane] = box.top
         packet[DIR_X, lane] = -wi[0]
         packet[DIR_Y, lane] = -wi[1]
         packet[DIR_Z, lane] = -wi[2]
@@ -132,7 +143,8 @@ def trace_packet(
     embree : Handle
     box : Box
     horizon : Horizon or None
-        Paths that climb past it are out without another ray.
+        Of a height field. Paths that climb past it are out without another ray, and those that come straight
+        down need none to find their first facet.
     coherent : bool
         Whether neighbouring paths start within a few facets of each other: Embree then traces them
         together, else each for itself.
@@ -172,9 +184,14 @@ def trace_packet(
     segments = 0
     active = PACKET_WIDTH
     rays = 0
+    falls = horizon is not None and is_vertical(packet)
     while active > 0:
-        intersect16(embree, packet, coherent)
-        rays += active
+        if horizon is not None and falls:
+            fall(horizon.samples, box, packet)
+            falls = False
+        else:
+            intersect16(embree, packet, coherent)
+            rays += active
         segments += 1
         arrive(box, packet, albedo is None, retreat, bounces)
         for lane in range(PACKET_WIDTH):

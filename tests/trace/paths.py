@@ -27,7 +27,7 @@ def _trace(
     for k in range(side * side):
         i, j = k // side, k % side
         path = 16 * k
-        start_packet(packet, wi, box.top, 4 * i * dx, 4 * j * dy, dx, dy, seed, 0, path)
+        start_packet(packet, wi, box, 4 * i * dx, 4 * j * dy, dx, dy, seed, 0, path)
         lanes = slice(path, path + PACKET_WIDTH)
         rays += trace_packet(
             embree, box, horizon, True, packet, eta_k, albedo, max_bounces, seed, 0, path,
