@@ -157,7 +157,8 @@ def _speeds(table: Table, plain: Table) -> tuple[float, float]:
     # in turns: what slows the machine for a while slows both
     for turn in range(_REPEATS + 1):
         for which, one in enumerate((table, plain)):
-            for k, work in enumerate((partial(one.eval, wi, wo), partial(one.sample, wi, u))):
+            works: tuple[Callable[[], object], ...] = partial(one.eval, wi, wo), partial(one.sample, wi, u)
+            for k, work in enumerate(works):
                 begun = time.perf_counter()
                 work()
                 if turn > 0:  # the first lays the table out, and compiles

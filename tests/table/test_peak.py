@@ -218,6 +218,22 @@ def test_trace_finds_the_peak(glossy):
     )
 
 
+def test_half_vectors_fill_the_peak():
+    """Single bounces by half vectors, the rest counted: together they are all light of smooth mirrors."""
+    surface = {"kind": "gaussian", "alpha": 0.1, "samples": 128}
+    grid = {"theta_step_deg": 10, "phi_step_deg": 10, "orders": 2, "theta_i_deg": [10, 60, 80]}
+    spec = parse_specimen({"surface": surface, "material": {"kind": "mirror"}, "grid": grid})
+    table = measure(spec, rays=200_000)
+    assert table.provenance["estimator"] == "half-vector"
+    energy = np.einsum("isqc,sq->ic", table.peak.values, table.peak.areas)
+    np.testing.assert_allclose(energy, table.row_albedo, rtol=2e-3)
+    single, rest = (table.parts[name].peak.values for name in ("L1", "L2+"))
+    np.testing.assert_allclose(single + rest, table.peak.values, rtol=1e-12)
+    assert rest.max() > 0
+    bright = table.peak.values > 0.1 * table.peak.values.max()
+    assert np.all(table.peak.std_error[bright] < 0.1 * table.peak.values[bright])
+
+
 def test_checks_know_the_peak(glossy):
     found = {c.name: c for c in check(glossy).checks}
     assert "cells of its own" in found["resolution"].detail
