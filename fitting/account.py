@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.modulus import expected
 from fitting.moments import (
     ABSOLUTE_LOG,
     QUADRATIC,
     Cells,
     Shapes,
     average,
+    new_scratch,
     touching,
 )
 from fitting.problem import Point, Problem, solve_scaled
@@ -44,12 +46,13 @@ class Account:
     neighbours : float
         Correlation of the residuals of cells side by side in delta phi, in units of its standard deviation.
     matrix : ndarray, shape (M, M)
-        Half of the second derivatives of the objective by the unknowns, in the order of `Problem.equations`.
+        Half of the second derivatives of the objective by the unknowns, in the order of `Problem.equations`; of
+        a modulus in the mean over the noise, see `fitting.modulus`.
     scatter : ndarray, shape (M, M)
         Of its first derivatives: sums over cells of u u', u = sum over channels of w r/(1 - h) and the model's
         derivatives, with the leverage h of the value, by which its own pull on the fit makes its residual
-        small (HC3, MacKinnon and White 1985). Both are estimated from one cell in several where there are
-        very many.
+        small (HC3, MacKinnon and White 1985). Estimated from one cell in several where there are very
+        many.
     held : ndarray of bool, shape (M,)
         At a bound, or without any influence.
     freedom : ndarray, shape (M,)
@@ -77,14 +80,20 @@ def account(problem: Problem, point: Point) -> Account:
     cells: Cells = problem.cells
     samples, objective = problem.samples, problem.objective
     n, channels = samples.values.shape
-    size = point.right.shape[1]
     chunks = max(1, min(_CHUNKS, n // 2000))
     stride = max(1, n // _ENOUGH)
     sums = np.zeros((chunks, 10))
-    bread = np.zeros((chunks, channels, size, size))
     scatter = np.zeros((chunks, problem.size, problem.size))
     powers = np.zeros((chunks, 2, problem.size))
-    held, inverse = _solved(problem, point)
+    curved, weights = problem, np.empty((0, channels))
+    if objective.difference == ABSOLUTE_LOG:
+        curved = expected(problem, point)
+        weights = curved.objective.weights
+        point = curved.evaluate(point.x, point.coefficients, solve=False)
+    matrix = curved.equations(point)[0]
+    held = _held(matrix, point)
+    matrix *= curved.norm
+    inverse = inverse_over(matrix, ~held)
     maps, places = problem.maps(point), problem.places
     leverage = np.stack(
         [rule.T @ inverse[np.ix_(own, own)] @ rule for rule, own in zip(maps, places, strict=True)]
@@ -102,13 +111,13 @@ def account(problem: Problem, point: Point) -> Account:
             factors,
             objective.difference,
             objective.scale,
+            weights[part],
             stride,
             leverage,
             maps,
             places,
             inverse,
             sums[chunk],
-            bread[chunk],
             scatter[chunk],
             powers[chunk],
         )
@@ -125,11 +134,8 @@ def account(problem: Problem, point: Point) -> Account:
     }
     if samples.variance is not None:
         metrics["chi2"] = float(total[_CHI2])
-    matrix = np.zeros((problem.size, problem.size))
-    for rule, own, sides in zip(maps, places, _symmetric(stride * bread.sum(axis=0)), strict=True):
-        matrix[np.ix_(own, own)] += rule @ sides @ rule.T
     square, fourth = powers.sum(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         freedom = 3.0 * square**2 / fourth - 2.0
     return Account(
         metrics,
@@ -142,13 +148,11 @@ def account(problem: Problem, point: Point) -> Account:
     )
 
 
-def _solved(problem: Problem, point: Point) -> tuple[NDArray[np.bool_], Array]:
-    """Which unknowns are held, and the inverse of the objective's matrix over the others; 0 where held."""
-    matrix, _ = problem.equations(point)
+def _held(matrix: Array, point: Point) -> NDArray[np.bool_]:
+    """Which unknowns are at a bound or change nothing."""
     position = np.concatenate([point.x, point.coefficients.ravel()])
-    shape = np.arange(problem.size) < len(point.x)
-    held = (np.diag(matrix) <= 0.0) | (position <= 0.0) | (shape & (position >= 1.0))
-    return held, inverse_over(matrix * problem.norm, ~held)
+    shape = np.arange(len(position)) < len(point.x)
+    return (np.diag(matrix) <= 0.0) | (position <= 0.0) | (shape & (position >= 1.0))
 
 
 def inverse_over(matrix: Array, free: NDArray[np.bool_]) -> Array:
@@ -168,11 +172,11 @@ def _symmetric(lower: Array) -> Array:
 @kernel
 def _account(
     kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells, levels, values, weights, cos_i,
-    sin_i, sin_o, variance, factors, difference, scale, stride, leverage, maps, places, inverse,
-    sums, bread, scatter, powers,
+    sin_i, sin_o, variance, factors, difference, scale, curved, stride, leverage, maps, places, inverse,
+    sums, scatter, powers,
 ):  # fmt: skip
-    size, terms, channels = bread.shape[1], factors.shape[0], values.shape[1]
-    v, scratch, u = np.empty(size), np.empty(2 * tangents.shape[1]), np.empty(len(inverse))
+    size, terms, channels = maps.shape[2], factors.shape[0], values.shape[1]
+    v, scratch, u = np.empty(size), new_scratch(tangents), np.empty(len(inverse))
     shared = weights.shape[1] == 1
     before = np.zeros(channels)  # residuals of the last cell, in standard errors
     for n in range(len(cells)):
@@ -223,18 +227,13 @@ def _account(
             for j in range(size):
                 for k in range(size):
                     pull += v[j] * leverage[channel, j, k] * v[k]
-            score = w * r / max(_LEAST, 1.0 - w * pull)
+            own = curved[n, channel] if len(curved) > 0 else w
+            score = w * r / max(_LEAST, 1.0 - own * pull)
             for m in range(places.shape[1]):
                 slope = 0.0
                 for j in range(size):
                     slope += maps[channel, m, j] * v[j]
                 u[places[channel, m]] += score * slope
-            if difference == ABSOLUTE_LOG:  # the rounded modulus' own curvature, not its bound
-                w *= scale * scale / (log * log + scale * scale)
-            for j in range(size):
-                wv = w * v[j]
-                for k in range(j + 1):
-                    bread[channel, j, k] += wv * v[k]
         sums[_SPREAD] += excess * excess
         sums[_BOUND] += bound * bound
         if adjacent:

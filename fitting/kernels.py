@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.moments import average
+from fitting.moments import average, new_scratch
 from gonio.core.jit import kernel
 from gonio.core.parallel import for_each
 
@@ -53,7 +53,7 @@ def cell_terms(
 
 @kernel
 def _cell_terms(kinds, counts, shapes, tangents, rows, rings, sectors, cells, levels, exact_rows, out):
-    scratch = np.empty(0)
+    scratch = new_scratch(tangents)
     for index in range(len(cells)):
         average(
             kinds, counts, shapes, tangents, rows, rings, sectors, exact_rows,

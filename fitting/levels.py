@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.moments import QUADRATIC, Cells, average, touching
+from fitting.moments import QUADRATIC, Cells, average, new_scratch, touching
 from fitting.problem import Problem
 from gonio.core.jit import kernel
 from gonio.core.parallel import for_each
@@ -121,7 +121,7 @@ def _changes(
     difference, scale, chosen, level, out,
 ):  # fmt: skip
     terms, channels = factors.shape
-    v, before, scratch = np.empty(terms), np.empty(terms), np.empty(1)
+    v, before, scratch = np.empty(terms), np.empty(terms), new_scratch(tangents)
     for m in range(len(chosen)):
         n = chosen[m]
         average(

@@ -97,6 +97,12 @@ class Coefficients:
         if not (np.all(np.isfinite(gram)) and np.all(np.isfinite(right))):
             return start
         at_start = self.factors(start, back)
+        scale = np.sqrt(np.maximum(np.diag(gram), 0.0))
+        seen = np.bincount(self.owner, scale > _DARK * scale.max(initial=0.0), len(start)) > 0
+        if np.any(start[~seen]):  # of no influence here, it may have any size, and spoil all cells elsewhere
+            start = np.where(seen, start, 0.0)
+            right = right + gram @ (at_start - self.factors(start, back))
+            at_start = self.factors(start, back)
         if self.linear:
             step = _least_squares(gram, right)
             if np.all(start + step >= 0.0):  # the residual's own digits are kept

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.models.dispatch import lobe_slopes, lobe_terms
+from fitting.models.dispatch import SIDE, lobe_side, lobe_slopes, lobe_terms_of_sides
 from gonio.core.jit import kernel
 from gonio.core.parallel import for_each
 
@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 QUADRATIC, LOG, ABSOLUTE_LOG, CUBE_ROOT = range(4)
 """Which difference is measured: f - g; of ln(1 + f cos_i), squared or its modulus; of (f cos_i)^(1/3)."""
 
+_SIDE = SIDE
 _CHUNK = 2000  # cells at least
 _CHUNKS = 32  # at most; a function of the number of cells only, so that sums do not depend on the threads
 
@@ -129,11 +130,18 @@ def moments(
     return Moments(objective.sum(axis=0), right.sum(axis=0), np.broadcast_to(full, (channels, size, size)))
 
 
+@kernel
+def new_scratch(tangents):
+    """For `average`: the derivatives of a lobe; then for every lobe two rows, cos theta and `lobe_side` of each."""
+    lobes, parameters = tangents.shape[:2]
+    return np.full((1 + 2 * lobes, max(2 * parameters, 1 + _SIDE)), np.nan)
+
+
 @kernel(allocates=False)
 def average(
     kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cell, level, slopes, scratch, v
 ):
-    """The vector v of one cell; `scratch` has the length 2 x the most parameters of a lobe."""
+    """The vector v of one cell; `scratch` is of `new_scratch`, for these lobes, and remembers the last cell's."""
     i, r, s = cell[0], cell[1], cell[2]
     nodes = 1 << level
     row_nodes = 1 if exact_rows else nodes
@@ -152,7 +160,15 @@ def average(
                 w = weight * sectors[level, s, c, 2]
                 term, slope = 0, first_slope
                 for k in range(len(kinds)):
-                    values = lobe_terms(kinds[k], packed[k], wi, wo)
+                    side_i, side_o = scratch[1 + 2 * k], scratch[2 + 2 * k]
+                    # cells side by side in delta phi have these in common
+                    if side_i[0] != wi[2]:
+                        side_i[0] = wi[2]
+                        lobe_side(kinds[k], packed[k], tangents[k], wi, side_i[1:])
+                    if side_o[0] != wo[2]:
+                        side_o[0] = wo[2]
+                        lobe_side(kinds[k], packed[k], tangents[k], wo, side_o[1:])
+                    values = lobe_terms_of_sides(kinds[k], packed[k], wi, wo, side_i[1:], side_o[1:])
                     v[term] += w * values[0]
                     if counts[k, 0] == 2:
                         v[term + 1] += w * values[1]
@@ -162,11 +178,13 @@ def average(
                     if values[0] == 0.0 and values[1] == 0.0:  # nothing here, nor near here
                         slope += counts[k, 0] * counts[k, 1]
                         continue
-                    lobe_slopes(kinds[k], packed[k], tangents[k], wi, wo, values, scratch)
+                    lobe_slopes(
+                        kinds[k], packed[k], tangents[k], wi, wo, values, side_i[1:], side_o[1:], scratch[0]
+                    )
                     for j in range(counts[k, 1]):
-                        v[slope] += w * scratch[2 * j]
+                        v[slope] += w * scratch[0, 2 * j]
                         if counts[k, 0] == 2:
-                            v[slope + 1] += w * scratch[2 * j + 1]
+                            v[slope + 1] += w * scratch[0, 2 * j + 1]
                         slope += counts[k, 0]
 
 
@@ -176,7 +194,7 @@ def _moments(
     factors, difference, scale, slopes, objective, right, gram,
 ):  # fmt: skip
     size, terms, channels = right.shape[1], factors.shape[0], values.shape[1]
-    v, scratch = np.empty(size), np.empty(2 * tangents.shape[1])
+    v, scratch = np.empty(size), new_scratch(tangents)
     shared = weights.shape[1] == 1
     for n in range(len(cells)):
         level = np.int64(levels[n])

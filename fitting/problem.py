@@ -17,6 +17,7 @@ from fitting.samples import Samples
 Array = NDArray[np.float64]
 
 _INNER = 8  # steps over coefficients alone
+_ABSURD = 1e6  # times the objective of a model that is 0: differences of such numbers have no digits left
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +122,8 @@ class Problem:
         if not solve or not self.objective.quadratic:
             value = float(found.objective.sum()) / self.norm
             return Point(x, coefficients, value, found.right, found.gram)
+        if coefficients.any() and not found.objective.sum() <= _ABSURD * self.norm:
+            return self.evaluate(x, None, slopes=slopes)
         return self._eliminated(x, coefficients, before, back, found)
 
     def _eliminated(self, x: Array, start: Array, before: Array, back: Array, found: Moments) -> Point:
@@ -134,8 +137,17 @@ class Problem:
         )
         moved = self.coefficients.factors(coefficients, back) - before
         toward = np.einsum("cvt,tc->cv", found.gram[:, :, :terms], moved)
+        if not np.sum(moved.T * toward[:, :terms]) <= _ABSURD * self.norm:
+            return Point(x, start, float(found.objective.sum()) / self.norm, found.right, found.gram)
         value = found.objective.sum() - np.sum(moved.T * (2.0 * found.right - toward)[:, :terms])
         return Point(x, coefficients, max(0.0, float(value)) / self.norm, found.right - toward, found.gram)
+
+    def model(self, point: Point) -> Array:
+        """The model's averages over the cells, 1/sr, shape (N, C)."""
+        shapes = self.shapes(point.x)
+        factors = self.coefficients.factors(point.coefficients, self.coefficients.feedback(shapes.packed))
+        used = np.concatenate([2 * k + np.arange(n) for k, (n, _) in enumerate(self._counts)])
+        return self.samples.terms(self._kinds, shapes.packed, self.cells.levels)[:, used] @ factors
 
     def reduced(self, x: Array, coefficients: Array | None) -> Point:
         """The objective at shape parameters and the best coefficients for them, near `coefficients`."""

@@ -100,7 +100,8 @@ def explore(
         starts = search(problem, start, budget, seed, span)
         if point is not None:
             starts += _extended(problem, chosen, before, point)
-        starts += _other_optics(problem, starts[0])
+        if any(q.optical for n in chosen if n not in before for q in lobes[n].parameters):
+            starts += _other_optics(problem, starts[0])
         found: list[Point] = []
         for begin in starts:
             found.append(descend(problem, begin, budget, (span[1], span[1]), _ROUGH_GAIN))

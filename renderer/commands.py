@@ -102,7 +102,7 @@ def report(table: Path, fits: tuple[Path, ...], out: Path) -> None:
 
     with progress_bar(f"Report of {table.name}") as progress:
         write_report(
-            formats.read(table),
+            formats.read(table) if fits else formats.read_any(table),
             out,
             {path.stem: Fit.load(path) for path in fits},
             folder=table.parent,

@@ -12,10 +12,13 @@ import numpy as np
 from fitting.result import Fit
 from gonio.files import atomic
 from gonio.progress import Report
+from gonio.table.anisotropic import AnisotropicTable
 from gonio.table.checks import check
+from gonio.table.checks.anisotropic import check_anisotropic
+from gonio.table.checks.report import CheckReport
 from gonio.table.parts import TRANSMISSION, orders_of
 from gonio.table.table import Table
-from renderer import part_plots, plots
+from renderer import anisotropic_plots, part_plots, plots
 from renderer.page import figure_html, rows_html
 from renderer.specimen_section import specimen_html
 
@@ -34,7 +37,7 @@ Section = tuple[str, str]
 
 
 def write_report(
-    table: Table, path: str | os.PathLike[str], fits: Mapping[str, Fit] | None = None,
+    table: Table | AnisotropicTable, path: str | os.PathLike[str], fits: Mapping[str, Fit] | None = None,
     extra: Sequence[Section] = (), title: str = "", overlays: Mapping[str, Table] | None = None,
     folder: str | os.PathLike[str] = ".", progress: Report | None = None,
 ) -> None:  # fmt: skip
@@ -42,11 +45,11 @@ def write_report(
 
     Parameters
     ----------
-    table : Table
+    table : Table or AnisotropicTable
     path : path
         The HTML file.
     fits : mapping of str to Fit, optional
-        By the name to show.
+        By the name to show; of an isotropic table.
     extra : sequence of (str, str)
         More sections: heading and HTML, shown first.
     title : str, optional
@@ -83,7 +86,7 @@ def write_report(
 
 
 def _sections(
-    table: Table, fits: Mapping[str, Fit], overlays: Mapping[str, Table], folder: Path
+    table: Table | AnisotropicTable, fits: Mapping[str, Fit], overlays: Mapping[str, Table], folder: Path
 ) -> list[tuple[str, Callable[[], str]]]:
     """Headings of the sections that this table has, and what writes each."""
     text = table.provenance.get("specimen")
@@ -91,9 +94,22 @@ def _sections(
     if text is not None:
         sections.append(("Surface", lambda: specimen_html(str(text), folder)))
     sections.append(("Measurement", lambda: _measurement(table)))
+    if isinstance(table, AnisotropicTable):
+        sections += _anisotropic_sections(table)
+    else:
+        sections += _isotropic_sections(table, fits, overlays)
+    if text is not None:
+        sections.append(("Specimen", lambda: f"<pre>{html.escape(str(text))}</pre>"))
+    return sections
+
+
+def _isotropic_sections(
+    table: Table, fits: Mapping[str, Fit], overlays: Mapping[str, Table]
+) -> list[tuple[str, Callable[[], str]]]:
+    sections: list[tuple[str, Callable[[], str]]] = []
     if table.ledger.get("paths", 0) or TRANSMISSION in table.parts:
         sections.append(("Where the light went", lambda: _energy(table)))
-    sections.append(("Checks", lambda: _checks(table)))
+    sections.append(("Checks", lambda: _checks(check(table))))
     sections.append(("Lobes in the plane of incidence", lambda: _lobes(table, overlays)))
     if any(orders_of(part) for part in _hemispheres(table).values()):
         sections.append(("By number of bounces", lambda: _orders(table)))
@@ -101,9 +117,17 @@ def _sections(
     sections.append(("Hemisphere", lambda: _hemisphere(table)))
     if fits:
         sections.append(("Fits", lambda: _fits(fits)))
-    if text is not None:
-        sections.append(("Specimen", lambda: f"<pre>{html.escape(str(text))}</pre>"))
     return sections
+
+
+def _anisotropic_sections(table: AnisotropicTable) -> list[tuple[str, Callable[[], str]]]:
+    return [
+        ("Where the light went", lambda: _ledger(table.ledger)),
+        ("Checks", lambda: _checks(check_anisotropic(table))),
+        ("Hemisphere", lambda: figure_html(anisotropic_plots.hemispheres(table))),
+        ("Lobes in the plane of incidence", lambda: figure_html(anisotropic_plots.lobes(table))),
+        ("Directional albedo", lambda: figure_html(anisotropic_plots.albedo(table))),
+    ]
 
 
 def _hemispheres(table: Table) -> dict[str, Table]:
@@ -152,9 +176,10 @@ def _titled(sides: Mapping[str, str]) -> str:
     return "".join(f"<h3>{side}</h3>{content}" for side, content in sides.items())
 
 
-def _measurement(table: Table) -> str:
+def _measurement(table: Table | AnisotropicTable) -> str:
     facts = table.provenance
-    rows: list[tuple[str, str]] = [("cells", " x ".join(map(str, table.values.shape)))]
+    cells = table.energy if isinstance(table, AnisotropicTable) else table.values
+    rows: list[tuple[str, str]] = [("cells", " x ".join(map(str, cells.shape)))]
     if "paths_per_second" in facts:
         rows += [
             ("paths", f"{facts['paths'] / 1e6:.2f} M in {facts['batches']} batches"),
@@ -174,17 +199,21 @@ def _measurement(table: Table) -> str:
 def _energy(table: Table) -> str:
     """The ledger with a bar for each share, and what becomes of the light over theta_i."""
     figure = figure_html(part_plots.energy(table)) if TRANSMISSION in table.parts else ""
-    paths = table.ledger.get("paths", 0)
+    return _ledger(table.ledger) + figure
+
+
+def _ledger(ledger: Mapping[str, float]) -> str:
+    paths = ledger.get("paths", 0)
     if not paths:
-        return figure
-    inner = [name for name, energy in table.ledger.items() if name.startswith("absorbed: ") and energy]
+        return ""
+    inner = [name for name, energy in ledger.items() if name.startswith("absorbed: ") and energy]
     rows = []
-    for name in (name for name in table.ledger if name != "paths" and not name.startswith("absorbed: ")):
-        rows.append(_bar(name, table.ledger[name] / paths, 0.8))
+    for name in (name for name in ledger if name != "paths" and not name.startswith("absorbed: ")):
+        rows.append(_bar(name, ledger[name] / paths, 0.8))
         if name == "absorbed":
-            rows += [_bar(i.removeprefix("absorbed: "), table.ledger[i] / paths, 2.3) for i in inner]
+            rows += [_bar(i.removeprefix("absorbed: "), ledger[i] / paths, 2.3) for i in inner]
     head = "<tr><th>all rows together, mean of the channels</th><th>energy</th><th></th></tr>"
-    return f"<table>{head}{''.join(rows)}</table>{figure}"
+    return f"<table>{head}{''.join(rows)}</table>"
 
 
 def _bar(what: str, share: float, indent: float) -> str:
@@ -194,8 +223,7 @@ def _bar(what: str, share: float, indent: float) -> str:
     )
 
 
-def _checks(table: Table) -> str:
-    report = check(table)
+def _checks(report: CheckReport) -> str:
     verdict = "all passed" if report.passed else '<span class="fail">failed</span>'
     return f"<p>{verdict}</p><pre>{html.escape(chr(10).join(report.lines()))}</pre>"
 

@@ -20,6 +20,9 @@ to the detector, tuples of unit length), f_r in 1/sr without cosine:
 - ``pdf(p, wi, wo)``: the density of `sample`, 1/sr, for `wo` on the whole sphere, where it integrates to 1.
   `dispatch.lobe_pdf` is 0 below the horizon, so it integrates to the share of samples kept.
 
+Cook-Torrance's has a ``side(variant, p, tangents, w, out)`` as well: what shadowing needs of one direction alone,
+which a fit asks for once a ring of cells; its ``slopes`` take the two directions' (`dispatch.lobe_side`).
+
 A lobe that `transmits` takes both directions on either side: `terms` is f_s of any pair (1/sr, without
 cosine), `sample` may refract, and its density integrates to 1 over the sphere.
 

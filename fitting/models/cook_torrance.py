@@ -143,6 +143,27 @@ def _hidden(d, p, w):
 @kernel(allocates=False)
 def terms(variant, p, wi, wo):
     """With Schlick's F the F0 and the F90 term; else the lobe, 1/sr."""
+    d = variant % 3
+    if variant // 3 % 3 == _V_CAVITY:
+        return terms_of_sides(variant, p, wi, wo, 0.0, 0.0)
+    return terms_of_sides(variant, p, wi, wo, _hidden(d, p, wi), _hidden(d, p, wo))
+
+
+@kernel(allocates=False)
+def side(variant, p, tangents, w, out):
+    """What Smith's G needs of one direction alone: Lambda x cos, and with tangents its derivatives."""
+    d = variant % 3
+    if variant // 3 % 3 == _V_CAVITY:
+        return
+    if len(tangents) == 0:
+        out[0] = _hidden(d, p, w)
+    else:
+        out[0], out[1], out[2] = _hidden_slopes(d, p, tangents, w)
+
+
+@kernel(allocates=False)
+def terms_of_sides(variant, p, wi, wo, hidden_i, hidden_o):
+    """`terms`, of what `side` gives of each direction."""
     d, g, f = variant % 3, variant // 3 % 3, variant // 9
     wh = half_vector(wi, wo)
     value = 0.25 * _density(d, p, wh)
@@ -152,12 +173,10 @@ def terms(variant, p, wi, wo):
     # G/(cos_i cos_o), so written that it is finite at the horizon
     if g == _V_CAVITY:
         value *= min(1.0 / (wi[2] * wo[2]), 2.0 * wh[2] / (c * max(wi[2], wo[2])))
+    elif g == _SMITH:
+        value /= wi[2] * wo[2] + wo[2] * hidden_i + wi[2] * hidden_o
     else:
-        hidden_i, hidden_o = _hidden(d, p, wi), _hidden(d, p, wo)
-        if g == _SMITH:
-            value /= wi[2] * wo[2] + wo[2] * hidden_i + wi[2] * hidden_o
-        else:
-            value /= (wi[2] + hidden_i) * (wo[2] + hidden_o)
+        value /= (wi[2] + hidden_i) * (wo[2] + hidden_o)
     if f == _SCHLICK:
         s = schlick_weight(c)
         return value * (1.0 - s), value * s
@@ -168,18 +187,15 @@ def terms(variant, p, wi, wo):
 
 
 @kernel(allocates=False)
-def slopes(variant, p, tangents, wi, wo, values, out):
+def slopes(variant, p, tangents, wi, wo, values, side_i, side_o, out):
     """Derivatives by the shape parameters, of which D and G know the first ones and F the others.
 
-    `tangents`, shape (parameters, SIZE), are derivatives of `p`; see `fitting.models.contract`.
+    `tangents`, shape (parameters, SIZE), are derivatives of `p`; see `fitting.models.contract`. Those of G are
+    in `side_i` and `side_o`, of `side`.
     """
     d, g, f = variant % 3, variant // 3 % 3, variant // 9
     wh = half_vector(wi, wo)
     facets = 2 if d == _GTR else 1
-    hidden_i, i0, i1, hidden_o, o0, o1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    if g != _V_CAVITY:
-        hidden_i, i0, i1 = _hidden_slopes(d, p, tangents, wi)
-        hidden_o, o0, o1 = _hidden_slopes(d, p, tangents, wo)
     for j in range(facets):
         if d == _GGX:
             log = ggx_slope(p[SHAPE], wh)
@@ -187,13 +203,11 @@ def slopes(variant, p, tangents, wi, wo, values, out):
             log = beckmann_slope(p[SHAPE], wh)
         else:
             log = gtr_slope(p, tangents, wh, j)
-        if g != _V_CAVITY:
-            slope_i, slope_o = (i0, o0) if j == 0 else (i1, o1)
-            if g == _SMITH:
-                seen = wi[2] * wo[2] + wo[2] * hidden_i + wi[2] * hidden_o
-                log -= (wo[2] * slope_i + wi[2] * slope_o) / seen
-            else:
-                log -= slope_i / (wi[2] + hidden_i) + slope_o / (wo[2] + hidden_o)
+        if g == _SMITH:
+            seen = wi[2] * wo[2] + wo[2] * side_i[0] + wi[2] * side_o[0]
+            log -= (wo[2] * side_i[1 + j] + wi[2] * side_o[1 + j]) / seen
+        elif g == _SEPARABLE:
+            log -= side_i[1 + j] / (wi[2] + side_i[0]) + side_o[1 + j] / (wo[2] + side_o[0])
         out[2 * j], out[2 * j + 1] = values[0] * log, values[1] * log
     if f == _SCHLICK:
         return

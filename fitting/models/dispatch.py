@@ -22,6 +22,9 @@ from fitting.models import (
 from fitting.models.contract import VARIANTS
 from gonio.core.jit import kernel
 
+SIDE = 3
+"""Most numbers a lobe needs of one direction alone."""
+
 # Kernels take global integers and functions, not attributes of modules.
 _VARIANTS = VARIANTS
 _LAMBERT, _lambert_terms = lambert.FAMILY, lambert.terms
@@ -33,6 +36,7 @@ _walter_slopes, _hk_slopes = walter.slopes, hanrahan_krueger.slopes
 _EON, _eon_terms, _eon_sample, _eon_pdf = eon.FAMILY, eon.terms, eon.sample, eon.pdf
 _COOK_TORRANCE, _ct_terms = cook_torrance.FAMILY, cook_torrance.terms
 _ct_sample, _ct_pdf = cook_torrance.sample, cook_torrance.pdf
+_ct_side, _ct_terms_of_sides = cook_torrance.side, cook_torrance.terms_of_sides
 _ASHIKHMIN_SHIRLEY, _as_terms = ashikhmin_shirley.FAMILY, ashikhmin_shirley.terms
 _as_sample, _as_pdf = ashikhmin_shirley.sample, ashikhmin_shirley.pdf
 _AS_DIFFUSE = ashikhmin_shirley.DIFFUSE.kind
@@ -91,7 +95,31 @@ def lobe_terms(kind, p, wi, wo):
 
 
 @kernel(allocates=False)
-def lobe_slopes(kind, p, tangents, wi, wo, values, out):
+def lobe_side(kind, p, tangents, w, out):
+    """What a lobe needs of one direction alone, once for many pairs of directions that share it.
+
+    Parameters
+    ----------
+    kind, p, tangents
+        As `lobe_slopes`; without rows where no derivatives are needed.
+    w : tuple of 3 float
+    out : ndarray, shape (SIDE,)
+        Set, where the lobe has such a thing.
+    """
+    if kind // _VARIANTS == _COOK_TORRANCE:
+        _ct_side(kind % _VARIANTS, p, tangents, w, out)
+
+
+@kernel(allocates=False)
+def lobe_terms_of_sides(kind, p, wi, wo, side_i, side_o):
+    """As `lobe_terms`, of what `lobe_side` gives of each direction; both above the horizon or at it."""
+    if kind // _VARIANTS == _COOK_TORRANCE and wi[2] > 0.0 and wo[2] > 0.0:
+        return _ct_terms_of_sides(kind % _VARIANTS, p, wi, wo, side_i[0], side_o[0])
+    return lobe_terms(kind, p, wi, wo)
+
+
+@kernel(allocates=False)
+def lobe_slopes(kind, p, tangents, wi, wo, values, side_i, side_o, out):
     """Derivatives of the two terms of an isotropic lobe by its shape parameters, both directions above.
 
     Parameters
@@ -102,12 +130,14 @@ def lobe_slopes(kind, p, tangents, wi, wo, values, out):
         `Lobe.tangents`.
     values : tuple of 2 float
         What `lobe_terms` returns.
+    side_i, side_o : ndarray, shape (SIDE,)
+        Of `lobe_side`, with derivatives.
     out : ndarray, shape (2 x parameters,) at least
         Number 2 j + t is set to the derivative of term t by parameter j.
     """
     family, variant = kind // _VARIANTS, kind % _VARIANTS
     if family == _COOK_TORRANCE:
-        _ct_slopes(variant, p, tangents, wi, wo, values, out)
+        _ct_slopes(variant, p, tangents, wi, wo, values, side_i, side_o, out)
     elif family == _OREN_NAYAR:
         _oren_nayar_slopes(variant, p, wi, wo, values, out)
     elif family == _EON:

@@ -24,7 +24,7 @@ from microgeometry.grid import ANISOTROPIC_THETA_I_DEG, Grid
 Array = NDArray[np.float64]
 
 _ALPHA = 0.28, 0.01
-_ANGLES_DEG = (5, 15, 25, 35, 45, 55, 65, 70, 75, 80)
+_ANGLES_DEG = (5, 15, 25, 35, 45, 55, 65, 70, 75, 80, 83, 85)
 _INCIDENCES = 6  # azimuths an angle
 _SAMPLES = 400_000
 _REPEATS = 3
@@ -70,7 +70,7 @@ def run(say: Callable[[str], None]) -> dict[str, Any]:
         sums = np.zeros(2)
         for _ in range(_INCIDENCES):
             wi = direction(np.radians(angle + rng.uniform(-2, 2)), rng.uniform(0, 2 * np.pi))
-            wo, areas = tilt_measures(wi, *fine)
+            wo, areas = tilt_measures(wi, fine[0], fine[1])
             wo = wo.reshape(-1, 3)
             exact = brdf(np.broadcast_to(wi, wo.shape), wo)
             sums += [

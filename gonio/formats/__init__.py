@@ -78,8 +78,9 @@ def read(path: str | os.PathLike[str]) -> Table:
     table = read_any(path)
     if not isinstance(table, Table):
         raise InputError(
-            f"{path}: an anisotropic table, and this takes isotropic ones; `gonio info`, `check` and `render` take "
-            "it as it is; for all else trace the specimen without anisotropic = true in [grid]"
+            f"{path}: an anisotropic table, and this takes isotropic ones; `gonio info`, `check`, `report`, "
+            "`render` and `convert` to .h5 take it as it is; for all else "
+            "trace the specimen without anisotropic = true in [grid]"
         )
     return table
 
@@ -146,16 +147,18 @@ def convert(
     InputError
         As `read` and `write`; a missing folder, or no such part.
     """
+    from gonio.table.table import Table
+
     check_target(target)
-    table = read(source)
+    table = read_any(source) if Path(target).suffix.lower() == ".h5" else read(source)
     if part is not None:
         try:
-            table = extract(table, part)
+            table = extract(table, part)  # type: ignore[type-var]
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
     before = tuple(table.provenance.get("lost", ()))
     lost = (*before, *write(table, target))
-    if Path(target).suffix.lower() == ".h5":
+    if not isinstance(table, Table) or Path(target).suffix.lower() == ".h5":
         return Conversion(lost)
     return Conversion(lost, *_compare(table, read(target)))
 

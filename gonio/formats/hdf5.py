@@ -210,12 +210,19 @@ def _is_anisotropic(file: h5py.File, path: Path) -> bool:
             f"{path}: an HDF5 file of something else (it holds {names}); a BRDF table has the attribute "
             f"format = {FORMAT!r}"
         )
-    version = str(file.attrs.get("version", ""))
-    major = version.partition(".")[0]
+    version, own = (
+        str(file.attrs.get("version", "")),
+        hdf5_anisotropic.VERSION if found != FORMAT else VERSION,
+    )
+    major, current = version.partition(".")[0], int(own.partition(".")[0])
     if not major.isdigit():
-        raise InputError(f"{path}: attribute version is {version!r}; {VERSION!r} is expected; trace it again")
-    if int(major) > int(VERSION.partition(".")[0]):
-        raise InputError(f"{path}: table version {version} is newer than {VERSION}, update gonio to read it")
+        raise InputError(f"{path}: attribute version is {version!r}; {own!r} is expected; trace it again")
+    if int(major) > current:
+        raise InputError(f"{path}: table version {version} is newer than {own}, update gonio to read it")
+    if int(major) < current:
+        raise InputError(
+            f"{path}: table version {version} has its cells laid out otherwise than {own}; trace it again"
+        )
     return found == hdf5_anisotropic.FORMAT
 
 

@@ -2,6 +2,8 @@
 
 Datasets carry the field names of `AnisotropicTable`, their units, and a dimension scale on every axis; `tilt_x` and
 `tilt_y` (middles of the cells) and `channel` exist as scales, the edges are what is read back. Cells are float32.
+
+Version 2 stretches slopes to the horizon along one axis after the other; version 1 did so radially.
 """
 
 from __future__ import annotations
@@ -18,13 +20,12 @@ from gonio.table.anisotropic import AnisotropicTable
 from microgeometry.errors import InputError
 
 FORMAT = "gonio-anisotropic-table"
-VERSION = "1.0"
+VERSION = "2.0"
 _CONVENTIONS = (
     "energy is the fraction of the light from (theta_i, phi_i) that leaves into each cell, the delta term apart; "
     "phi_i counts from the specimen's x axis; tilt_x, tilt_y are atan(w) of the slopes s = (i + o)_xy / (i + o)_z of "
-    "the half vector, w = s / (1 - (|s| / r)^4)^(1/4), r the slope along s at which o is on the horizon; over its "
-    "projected solid angle a cell's energy is the mean BRDF f_r in 1/sr; in parts/transmission o is turned up at "
-    "the plane"
+    "the half vector, w = s but for the horizon, which is sent to infinity (gonio.table.tilts); over its projected "
+    "solid angle a cell's energy is the mean BRDF f_r in 1/sr; in parts/transmission o is turned up at the plane"
 )
 _CELLS = ("theta_i", "phi_i", "tilt_x", "tilt_y", "channel")
 _ROWS = ("theta_i", "phi_i", "channel")

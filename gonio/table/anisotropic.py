@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -12,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gonio.core.directions import direction
-from gonio.table import anisotropic_interpolation as kernels
+from gonio.table import many
 from gonio.table.anisotropic_pool import AnisotropicPool, pool_anisotropic
-from gonio.table.table import flat
-from gonio.table.tilts import tilt_measures
+from gonio.table.brdf_table import BRDFTable, check_arrays, check_channels, check_parts
+from gonio.table.tilts import slope_widths, tilt_measures
 from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
@@ -24,7 +23,7 @@ _AXES = ("theta_i", "phi_i", "tilt_x_edges", "tilt_y_edges", "channels", "wavele
 
 
 @dataclass(frozen=True, eq=False)
-class AnisotropicTable:
+class AnisotropicTable(BRDFTable):
     """A BRDF over (theta_i, phi_i) and the outgoing hemisphere, with its error bars. Immutable.
 
     Rows are exact directions of incidence: theta_i against the normal, phi_i from the specimen's x axis. The
@@ -89,38 +88,10 @@ class AnisotropicTable:
             "tilt_x_edges": (n_x + 1,), "tilt_y_edges": (n_y + 1,), "row_albedo": rows,
             "albedo_std_error": rows, "specular": rows, "specular_std_error": rows,
         }  # fmt: skip
-        for name, want in expected.items():
-            given = getattr(self, name)
-            if given is None:
-                continue
-            array: NDArray = np.array(given, np.float32 if len(want) == 5 else np.float64)
-            if array.shape == () and name.startswith(("albedo_", "specular")):
-                array = np.full(want, array)
-            if array.shape != want:
-                raise InputError(f"{name}: shape {array.shape}; {want} is expected")
-            if not np.all(np.isfinite(array)):
-                raise InputError(f"{name}: contains NaN or infinity; finite numbers are expected")
-            if name.endswith("std_error") and array.min() < 0:
-                raise InputError(f"{name}: contains negative numbers; a standard error is >= 0")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-        object.__setattr__(self, "channels", tuple(str(c) for c in self.channels))
-        if len(self.channels) != channels:
-            raise InputError(f"channels: {len(self.channels)} names for {channels} channels of energy")
-        if self.wavelengths_nm is not None:
-            object.__setattr__(self, "wavelengths_nm", tuple(float(w) for w in self.wavelengths_nm))
-            if len(self.wavelengths_nm) != channels or not all(w > 0 for w in self.wavelengths_nm):
-                raise InputError(
-                    f"wavelengths_nm: {self.wavelengths_nm}; {channels} positive numbers are expected"
-                )
+        check_arrays(self, expected, {"energy": np.float32, "std_error": np.float32})
+        check_channels(self, channels)
         self._check_axes()
-        object.__setattr__(self, "parts", dict(self.parts))
-        for name, part in self.parts.items():
-            if not isinstance(part, AnisotropicTable):
-                raise InputError(f"parts/{name}: {type(part).__name__}; an AnisotropicTable is expected")
-            for axis in _AXES:
-                if not np.array_equal(getattr(part, axis), getattr(self, axis)):
-                    raise InputError(f"parts/{name}: {axis} is not the table's; a part is on the same grid")
+        check_parts(self, _AXES)
 
     def _check_axes(self) -> None:
         theta, phi = self.theta_i, self.phi_i
@@ -137,30 +108,6 @@ class AnisotropicTable:
                 raise InputError(
                     f"{name}: must increase from -pi/2 to pi/2 radians, found {edges[0]} to {edges[-1]}"
                 )
-
-    def replace(self, **changes: Any) -> AnisotropicTable:
-        """A copy with some fields changed, checked like a new table."""
-        return AnisotropicTable(**{f.name: changes.get(f.name, getattr(self, f.name)) for f in fields(self)})
-
-    def save(self, path: str | os.PathLike[str]) -> list[str]:
-        """Write the table to an .h5 file, which keeps everything; `Table.load` reads it.
-
-        Raises
-        ------
-        InputError
-            Another suffix.
-        OSError
-            The file cannot be written; nothing is left under its name.
-        """
-        from gonio import formats
-
-        return formats.write(self, path)
-
-    @property
-    def luminance(self) -> Array | None:
-        """Weights of the channels in the luminance Y, shape (C,), where they are CIE colour; else None."""
-        weights = self.provenance.get("colour", {}).get("luminance")
-        return None if weights is None else np.array(weights, float)
 
     @property
     def nbytes(self) -> int:
@@ -188,37 +135,8 @@ class AnisotropicTable:
         """Mean BRDF of the cells of a row, 1/sr, shape (X, Y, C)."""
         return self.energy[theta, phi] / self.cells(theta, phi)[1][..., None]
 
-    def eval(self, wi: ArrayLike, wo: ArrayLike) -> Array:
-        """Interpolated BRDF without the delta term; how is said in `gonio.table.anisotropic_interpolation`.
-
-        Parameters
-        ----------
-        wi, wo : array_like, shape (..., 3)
-            Unit directions to the light and to the detector, in the specimen's frame.
-
-        Returns
-        -------
-        ndarray, shape (..., C)
-            f_r in 1/sr; 0 where a direction is below the horizon.
-        """
-        wi, wo, shape = flat(wi, wo)
-        out = np.empty((len(wi), len(self.channels)))
-        kernels.eval_anisotropic_many(self.pool, 0, wi, wo, out)
-        return out.reshape(*shape, -1)
-
-    def sample(self, wi: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
-        """Draw `wo`, and its density; as `Table.sample`, but the weight f cos / pdf is only nearly constant."""
-        wi, u, shape = flat(wi, u)
-        wo, pdf = np.empty_like(wi), np.empty(len(wi))
-        kernels.sample_anisotropic_many(self.pool, 0, wi, u, wo, pdf)
-        return wo.reshape(*shape, 3), pdf.reshape(shape)
-
-    def pdf(self, wi: ArrayLike, wo: ArrayLike) -> Array:
-        """Density per solid angle with which `sample` draws `wo`, shape (...)."""
-        wi, wo, shape = flat(wi, wo)
-        out = np.empty(len(wi))
-        kernels.pdf_anisotropic_many(self.pool, 0, wi, wo, out)
-        return out.reshape(shape)
+    def _pools(self) -> tuple[None, AnisotropicPool]:
+        return None, self.pool
 
     def albedo(self, theta_i: ArrayLike, phi_i: ArrayLike) -> Array:
         """Directional-hemispherical reflectance, delta term included, interpolated between the rows.
@@ -244,7 +162,7 @@ class AnisotropicTable:
         flat_wi = np.ascontiguousarray(wi.reshape(-1, 3))
         albedo = np.empty((len(flat_wi), len(self.channels)))
         specular = np.empty_like(albedo)
-        kernels.row_quantities_anisotropic_many(self.pool, 0, flat_wi, albedo, specular)
+        many.row_quantities_anisotropic_many(self.pool, 0, flat_wi, albedo, specular)
         shape = (*wi.shape[:-1], -1)
         return albedo.reshape(shape), specular.reshape(shape)
 
@@ -277,12 +195,13 @@ def tabulate_brdf(
     theta: Array = np.asarray(theta_i, float)
     phi: Array = 2.0 * np.pi / n_phi * np.arange(n_phi, dtype=np.float64)
     x, y = (_refined(edges, finer) for edges in (tilt_x_edges, tilt_y_edges))
+    widths = slope_widths(tilt_x_edges, tilt_y_edges)
     n_x, n_y = len(tilt_x_edges) - 1, len(tilt_y_edges) - 1
     energy = np.empty((len(theta), n_phi, n_x, n_y, len(channels)), np.float32)
     for a in range(len(theta)):
         for b in range(n_phi):
             wi = direction(theta[a], phi[b])
-            wo, areas = tilt_measures(wi, x, y)
+            wo, areas = tilt_measures(wi, x, y, widths)
             values = brdf(np.broadcast_to(wi, (areas.size, 3)), wo.reshape(-1, 3)) * areas.reshape(-1, 1)
             energy[a, b] = values.reshape(n_x, finer, n_y, finer, -1).sum(axis=(1, 3))
     return AnisotropicTable(

@@ -6,17 +6,20 @@ surface and of unit length; x is the specimen's x, from which phi_i counts. Valu
 
 The interpolant
 ---------------
-Light of one bounce off facets is f = F D V / (4 cos theta_i cos theta_o), and D, where all that is narrow stands,
+Light of one bounce off facets is f = F D G / (4 cos theta_i cos theta_o), and D, where all that is narrow stands,
 depends on the half vector alone. So what is interpolated is
 
-    g = f cos(theta_i) cos(theta_o), cosines no smaller than 0.01,
+    q = f cos(theta_i) cos(theta_o) / G,
 
-bilinear in the tilts (x, y) of the half vector (`gonio.table.tilts`) within a row (theta_i, phi_i), and linear in
-theta_i and phi_i between the four rows around `wi`, each taken at the same tilts: highlights stay in line however far
-apart the rows are. Along a row the cells' energies over the integral of 1 / (cos theta_i cos theta_o) over the cell are
-the nodes' values; at the horizon, +-pi/2, g is 0. Each row and channel is multiplied so that it re-integrates to what
-the table states, by quadrature over quarters of cells; between rows the integral follows the albedo as closely as
-the rows stand.
+G the shadowing of a surface with the slopes that the cells are made for (`gonio.table.anisotropic_pool.shadowing`):
+q is finite and smooth up to the horizon, and need not know the true shadowing, only its course. Within a row
+(theta_i, phi_i) it is bilinear in the tilts (x, y) of the half vector (`gonio.table.tilts`), constant beyond the
+outermost nodes; a node's value is the cell's energy over the integral of G / (cos theta_i cos theta_o) over the cell.
+Between the four rows around `wi` it is linear in theta_i and phi_i, each row taken at the same half vector: highlights
+stay in line however far apart the rows are. By this half vector a row sends light to a cos theta_o of its own, and
+what is near its horizon, or beyond, is known better from the others: rows count in proportion to this cosine as well.
+Each row and channel is multiplied so that it re-integrates to what the table states, by quadrature over quarters of
+cells; between rows the integral follows the albedo as closely as the rows stand.
 
 Samples are drawn row by row: one of the four in proportion to its weight times its energy, then (x, y) from the
 channel mean's energy per dx dy, piecewise bilinear as well, as in `gonio.table.interpolation` 3 and 4. The density
@@ -40,7 +43,8 @@ from gonio.table.anisotropic_pool import (
     A_VALUES,
     A_X,
     A_Y,
-    GRAZING,
+    ROW,
+    shadowing,
 )
 from gonio.table.inverse import draw, draw_between
 from gonio.table.tilts import from_tilts, to_tilts
@@ -119,31 +123,45 @@ def eval_anisotropic(pool, t, wi, wo, out):
         out[channel] = 0.0
     if wi[2] < 0.0 or wo[2] < 0.0:
         return
-    x, y, _ = to_tilts(wi, wo)
-    j, u, k, v = _point(pool, t, x, y)
+    hx, hy, hz = wi[0] + wo[0], wi[1] + wo[1], wi[2] + wo[2]
+    square = hx * hx + hy * hy + hz * hz
+    if square == 0.0:
+        return
     a, s, b, c, r = _rows(pool, t, wi)
+    widths = pool.widths[t, 0], pool.widths[t, 1]
     n_x, n_y = header[t, A_X], header[t, A_Y]
     line = n_y * n
-    scale = 1.0 / (max(wi[2], GRAZING) * max(wo[2], GRAZING))
     values = pool.values
+    total = 0.0
     for which in range(4):
-        weight = _weight(s, r, which) * scale
+        weight = _weight(s, r, which)
         if weight == 0.0:
             continue
         row = _row(header[t, A_PHI], header[t, A_THETA], a, b, c, which)
-        first = header[t, A_VALUES] + ((row * n_x + j) * n_y + k) * n
-        factor = header[t, A_ROWS] + row * (1 + 3 * n) + 1
+        first = header[t, A_ROWS] + row * (ROW + 3 * n)
+        i = pool.rows[first + 1], pool.rows[first + 2], pool.rows[first + 3]
+        double = 2.0 * (i[0] * hx + i[1] * hy + i[2] * hz) / square
+        o = double * hx - i[0], double * hy - i[1], double * hz - i[2]
+        if o[2] <= 0.0:
+            continue
+        weight *= o[2]
+        total += weight
+        x, y, _ = to_tilts(i, o, widths)
+        j, u, k, v = _point(pool, t, x, y)
+        p = header[t, A_VALUES] + ((row * n_x + j) * n_y + k) * n
         for channel in range(n):
-            p = first + channel
-            low = (1.0 - v) * values[p] + v * values[p + n]
-            high = (1.0 - v) * values[p + line] + v * values[p + line + n]
-            out[channel] += weight * pool.rows[factor + channel] * ((1.0 - u) * low + u * high)
+            low = (1.0 - v) * values[p + channel] + v * values[p + n + channel]
+            high = (1.0 - v) * values[p + line + channel] + v * values[p + line + n + channel]
+            out[channel] += weight * pool.rows[first + ROW + channel] * ((1.0 - u) * low + u * high)
+    scale = shadowing(wi, wo, widths) / total if total > 0.0 else 0.0
+    for channel in range(n):
+        out[channel] *= scale
 
 
 @kernel(allocates=False)
 def _row_energy(pool, t, row):
     """Integral of the channel mean that samples of one row are drawn from."""
-    return pool.rows[pool.header[t, A_ROWS] + row * (1 + 3 * pool.header[t, A_CHANNELS])]
+    return pool.rows[pool.header[t, A_ROWS] + row * (ROW + 3 * pool.header[t, A_CHANNELS])]
 
 
 @kernel(allocates=False)
@@ -155,7 +173,7 @@ def pdf_anisotropic(pool, t, wi, wo):
     if wi[2] < 0.0 or wo[2] <= 0.0:
         return 0.0
     header = pool.header
-    x, y, density = to_tilts(wi, wo)
+    x, y, density = to_tilts(wi, wo, (pool.widths[t, 0], pool.widths[t, 1]))
     j, u, k, v = _point(pool, t, x, y)
     a, s, b, c, r = _rows(pool, t, wi)
     n_x, n_y = header[t, A_X], header[t, A_Y]
@@ -176,23 +194,6 @@ def pdf_anisotropic(pool, t, wi, wo):
     if total <= 0.0:
         return 0.0
     return energy * density / total
-
-
-@kernel(allocates=False)
-def _sample_x(pool, t, row, uniform):
-    """Node j and fraction u of an x drawn from the row's marginal."""
-    n_x = pool.header[t, A_X]
-    axis = pool.header[t, A_AXES] + pool.header[t, A_THETA]
-    return draw(pool.marginal, pool.header[t, A_MARGINAL] + 2 * row * n_x, n_x, pool.axes, axis, uniform)
-
-
-@kernel(allocates=False)
-def _sample_y(pool, t, row, j, u, uniform):
-    """Node k and fraction v of a y drawn from the row's conditional at x node j, fraction u."""
-    n_y = pool.header[t, A_Y]
-    inner = pool.header[t, A_MEAN] + 2 * (row * pool.header[t, A_X] + j) * n_y
-    axis = pool.header[t, A_AXES] + pool.header[t, A_THETA] + pool.header[t, A_X]
-    return draw_between(pool.mean, inner, inner + 2 * n_y, n_y, u, pool.axes, axis, uniform)
 
 
 @kernel(allocates=False)
@@ -232,13 +233,16 @@ def sample_anisotropic(pool, t, wi, u0, u1, u2):
             if left < share:
                 break
         left -= share
-    j, u = _sample_x(pool, t, chosen, u0)
-    k, v = _sample_y(pool, t, chosen, j, u, u1)
-    axis = header[t, A_AXES] + header[t, A_THETA]
-    x = (1.0 - u) * pool.axes[axis + j] + u * pool.axes[axis + j + 1]
-    axis += header[t, A_X]
-    y = (1.0 - v) * pool.axes[axis + k] + v * pool.axes[axis + k + 1]
-    wo = from_tilts(wi, x, y)
+    n_x, n_y = header[t, A_X], header[t, A_Y]
+    axis_x = header[t, A_AXES] + header[t, A_THETA]
+    axis_y = axis_x + n_x
+    axes = pool.axes
+    j, u = draw(pool.marginal, header[t, A_MARGINAL] + 2 * chosen * n_x, n_x, axes, axis_x, u0)
+    inner = header[t, A_MEAN] + 2 * (chosen * n_x + j) * n_y
+    k, v = draw_between(pool.mean, inner, inner + 2 * n_y, n_y, u, axes, axis_y, u1)
+    x = (1.0 - u) * axes[axis_x + j] + u * axes[axis_x + j + 1]
+    y = (1.0 - v) * axes[axis_y + k] + v * axes[axis_y + k + 1]
+    wo = from_tilts(wi, x, y, (pool.widths[t, 0], pool.widths[t, 1]))
     return wo, pdf_anisotropic(pool, t, wi, wo)
 
 
@@ -254,39 +258,7 @@ def row_quantities_anisotropic(pool, t, wi, albedo, specular):
     for which in range(4):
         weight = _weight(s, r, which)
         row = _row(header[t, A_PHI], header[t, A_THETA], a, b, c, which)
-        first = header[t, A_ROWS] + row * (1 + 3 * n) + 1 + n
+        first = header[t, A_ROWS] + row * (ROW + 3 * n) + ROW + n
         for channel in range(n):
             albedo[channel] += weight * pool.rows[first + channel]
             specular[channel] += weight * pool.rows[first + n + channel]
-
-
-@kernel(allocates=False)
-def eval_anisotropic_many(pool, t, wi, wo, out):
-    """`eval_anisotropic` for arrays of directions, shape (N, 3), into `out`, shape (N, C)."""
-    for n in range(len(wi)):
-        eval_anisotropic(pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), (wo[n, 0], wo[n, 1], wo[n, 2]), out[n])
-
-
-@kernel(allocates=False)
-def pdf_anisotropic_many(pool, t, wi, wo, out):
-    """`pdf_anisotropic` for arrays of directions, shape (N, 3), into `out`, shape (N,)."""
-    for n in range(len(wi)):
-        out[n] = pdf_anisotropic(pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), (wo[n, 0], wo[n, 1], wo[n, 2]))
-
-
-@kernel(allocates=False)
-def sample_anisotropic_many(pool, t, wi, uniforms, wo, pdf):
-    """`sample_anisotropic` for arrays, `wi` and `uniforms` of shape (N, 3), into `wo` (N, 3) and `pdf` (N,)."""
-    for n in range(len(wi)):
-        drawn, density = sample_anisotropic(
-            pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), uniforms[n, 0], uniforms[n, 1], uniforms[n, 2]
-        )
-        wo[n, 0], wo[n, 1], wo[n, 2] = drawn
-        pdf[n] = density
-
-
-@kernel(allocates=False)
-def row_quantities_anisotropic_many(pool, t, wi, albedo, specular):
-    """`row_quantities_anisotropic` for directions of shape (N, 3), into arrays of shape (N, C)."""
-    for n in range(len(wi)):
-        row_quantities_anisotropic(pool, t, (wi[n, 0], wi[n, 1], wi[n, 2]), albedo[n], specular[n])

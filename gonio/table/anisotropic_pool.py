@@ -5,6 +5,7 @@ As `gonio.table.pool`: several tables in one set of flat arrays.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,15 +16,18 @@ from gonio.core.directions import direction
 from gonio.core.jit import kernel
 from gonio.core.parallel import for_each
 from gonio.table.pool import cumulative, trapezoid_weights
-from gonio.table.tilts import from_tilts, to_tilts
+from gonio.table.tilts import from_tilts, slope_widths, to_tilts
 
 if TYPE_CHECKING:
     from gonio.table.anisotropic import AnisotropicTable
 
 Array = NDArray[np.float64]
 
-GRAZING = 0.01
-"""Cosine below which the factor that is interpolated stays what it is there."""
+_LEAST = 1e-4  # cosine that stands in for 0
+_LEAST_SHARE = 0.1  # of its neighbours' mean weight that lets a cell speak for itself
+
+ROW = 4
+"""Numbers in front of those of channels in a line of AnisotropicPool.rows."""
 
 # Columns of AnisotropicPool.header
 A_THETA, A_PHI, A_X, A_Y, A_CHANNELS, A_VALUES, A_MEAN, A_AXES, A_ROWS, A_MARGINAL, N_COLUMNS = range(11)
@@ -37,17 +41,19 @@ class AnisotropicPool(NamedTuple):
     header : ndarray of int64, shape (tables, N_COLUMNS)
         Sizes (angles theta_i, angles phi_i, nodes in x, nodes in y, channels), first index into each array below.
     values : ndarray of float32
-        f cos(theta_i) cos(theta_o) at the nodes, (theta_i, phi_i, x, y, channel), each row and channel divided
-        by its maximum.
+        q of `gonio.table.anisotropic_interpolation` at the nodes, (theta_i, phi_i, x, y, channel), each row and channel
+        divided by its maximum.
     mean : ndarray of float32
         (theta_i, phi_i, x, y, 2): the channel mean's energy per dx dy, and its cumulative integral over y.
     axes : ndarray of float64
         Nodes: theta_i, x, y, radians.
     rows : ndarray of float64
-        (theta_i, phi_i, 1 + 3 C): the integral of `mean`, then per channel the factor on `values`, the albedo
-        without delta term, and the delta term.
+        (theta_i, phi_i, ROW + 3 C): the integral of `mean`, the direction to the light, then per channel the factor
+        on `values`, the albedo without delta term, and the delta term.
     marginal : ndarray of float64
         (theta_i, phi_i, x, 2): `mean` integrated over y, and the cumulative integral of that over x.
+    widths : ndarray of float64, shape (tables, 2)
+        Of slopes along x and y, `gonio.table.tilts.slope_widths`.
     """
 
     header: NDArray[np.int64]
@@ -56,6 +62,7 @@ class AnisotropicPool(NamedTuple):
     axes: Array
     rows: Array
     marginal: Array
+    widths: Array
 
     @property
     def nbytes(self) -> int:
@@ -82,14 +89,19 @@ def pool_anisotropic(tables: Sequence[AnisotropicTable]) -> AnisotropicPool:
         header[t, :A_VALUES] = sizes
         if t > 0:
             header[t, A_VALUES:] = header[t - 1, A_VALUES:] + [a.size for a in layouts[t - 1][1]]
+    widths = np.zeros((len(tables), 2))
+    for t, table in enumerate(tables):
+        widths[t] = slope_widths(table.tilt_x_edges, table.tilt_y_edges)
     dtypes = (np.float32, np.float32, np.float64, np.float64, np.float64)
     if len(layouts) == 1:  # tens of megabytes: not twice
-        return AnisotropicPool(header, *(a.ravel() for a in layouts[0][1]))
-    flat = [
-        np.concatenate([arrays[n].ravel() for _, arrays in layouts] or [np.zeros(0, dtype)])
-        for n, dtype in enumerate(dtypes)
-    ]
-    return AnisotropicPool(header, *flat)
+        flat = [array.ravel() for array in layouts[0][1]]
+    else:
+        flat = [
+            np.concatenate([arrays[n].ravel() for _, arrays in layouts] or [np.zeros(0, dtype)])
+            for n, dtype in enumerate(dtypes)
+        ]
+    values, mean, axes, rows, marginal = flat
+    return AnisotropicPool(header, values, mean, axes, rows, marginal, widths)
 
 
 def _layout(table: AnisotropicTable) -> tuple[tuple[int, ...], list[NDArray]]:
@@ -98,10 +110,11 @@ def _layout(table: AnisotropicTable) -> tuple[tuple[int, ...], list[NDArray]]:
     x, y = _nodes(x_edges), _nodes(y_edges)
     weight_y = trapezoid_weights(y)
     n_theta, n_phi, _, _, n_channels = table.energy.shape
+    widths = slope_widths(x_edges, y_edges)
     areas = np.outer(np.diff(x_edges), np.diff(y_edges))
     values = np.zeros((n_theta, n_phi, len(x), len(y), n_channels), np.float32)
     mean = np.zeros((n_theta, n_phi, len(x), len(y), 2), np.float32)
-    rows = np.zeros((n_theta, n_phi, 1 + 3 * n_channels))
+    rows = np.zeros((n_theta, n_phi, ROW + 3 * n_channels))
     marginal = np.zeros((n_theta, n_phi, len(x), 2))
 
     def lay(row: int) -> None:
@@ -109,12 +122,11 @@ def _layout(table: AnisotropicTable) -> tuple[tuple[int, ...], list[NDArray]]:
         energy = np.maximum(table.energy[a, b], 0.0).astype(float)
         wi = tuple(direction(table.theta_i[a], table.phi_i[b]).tolist())
         weights = np.zeros((2 * areas.shape[0], 2 * areas.shape[1]))
-        measure(wi, x_edges, y_edges, weights)
+        measure(wi, x_edges, y_edges, widths, weights)
         cells = weights.reshape(areas.shape[0], 2, areas.shape[1], 2).sum(axis=(1, 3))
-        nodes = energy / cells[..., None]
+        nodes = _levels(energy, cells[..., None])
         largest = np.maximum(nodes.max(axis=(0, 1)), np.finfo(float).tiny)
-        inner = values[a, b, 1:-1, 1:-1]
-        inner[...] = nodes / largest
+        values[a, b] = np.pad(nodes / largest, ((1, 1), (1, 1), (0, 0)), mode="edge")
         integral = np.zeros(n_channels)
         integrate(values[a, b], x, y, x_edges, y_edges, weights, integral)
         target = np.maximum(table.row_albedo[a, b] - table.specular[a, b], 0.0)
@@ -127,7 +139,7 @@ def _layout(table: AnisotropicTable) -> tuple[tuple[int, ...], list[NDArray]]:
         marginal[a, b, :, 0] = fbar @ weight_y
         marginal[a, b, :, 1] = cumulative(marginal[a, b, :, 0], x)
         rows[a, b, 0] = marginal[a, b, -1, 1]
-        rows[a, b, 1:] = np.concatenate([factor, factor * integral, table.specular[a, b]])
+        rows[a, b, 1:] = np.concatenate([wi, factor, factor * integral, table.specular[a, b]])
 
     for_each(lay, n_theta * n_phi, None)
     sizes = (n_theta, n_phi, len(x), len(y), n_channels)
@@ -135,28 +147,66 @@ def _layout(table: AnisotropicTable) -> tuple[tuple[int, ...], list[NDArray]]:
 
 
 def _nodes(edges: Array) -> Array:
-    """Middles of the cells, and both ends, where everything is 0: they are the horizon."""
+    """Middles of the cells, and both ends: they are the horizon."""
     return np.concatenate([edges[:1], 0.5 * (edges[1:] + edges[:-1]), edges[-1:]])
 
 
+def _levels(energy: Array, weights: Array) -> Array:
+    """Energy over weight of each cell, shape (X, Y, C); a cell of next to no weight is as its neighbours are.
+
+    Where the horizon leaves hardly anything of a cell, one path too many, or an error of quadrature, would make it the
+    brightest of the row.
+    """
+    total, around = _blocks(energy), _blocks(weights)
+    missing = np.maximum(_LEAST_SHARE / 9.0 * around - weights, 0.0)
+    return (energy + missing * total / around) / (weights + missing)
+
+
+def _blocks(cells: Array) -> Array:
+    """Sum over each cell and its neighbours, shape (X, Y, C)."""
+    padded = np.pad(cells, ((1, 1), (1, 1), (0, 0)))
+    rows = padded[:-2] + padded[1:-1] + padded[2:]
+    return rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]
+
+
 @kernel(allocates=False)
-def measure(wi, x_edges, y_edges, weights):
-    """Of each quarter of a cell: its projected solid angle over cos(theta_i) cos(theta_o), as `GRAZING` bounds them.
+def _masked(w, widths):
+    """Smith's Lambda of a surface of these widths of slopes, times cos(theta).
+
+    Walter et al. 2007, Microfacet models for refraction, section 5.2: a rational approximation for Beckmann's.
+    """
+    z = max(w[2], _LEAST)
+    across = math.sqrt((widths[0] * w[0]) ** 2 + (widths[1] * w[1]) ** 2)
+    if z >= 1.6 * across:
+        return 0.0
+    a = z / across
+    return across * (1.0 - 1.259 * a + 0.396 * a * a) / (3.535 + 2.181 * a)
+
+
+@kernel(allocates=False)
+def shadowing(wi, wo, widths):
+    """G / (cos theta_i cos theta_o) of a surface of these widths of slopes, G height-correlated (Heitz 2014, 99)."""
+    zi, zo = max(wi[2], _LEAST), max(wo[2], _LEAST)
+    return 1.0 / (zi * zo + zo * _masked(wi, widths) + zi * _masked(wo, widths))
+
+
+@kernel(allocates=False)
+def measure(wi, x_edges, y_edges, widths, weights):
+    """Of each quarter of a cell: the integral of `shadowing` over its projected solid angle.
 
     Parameters
     ----------
     weights : ndarray, shape (2 X, 2 Y)
         Receives it; by the middle of the quarter.
     """
-    cos_i = max(wi[2], GRAZING)
     for j in range(weights.shape[0]):
         step_x = 0.5 * (x_edges[j // 2 + 1] - x_edges[j // 2])
         x = x_edges[j // 2] + (j % 2 + 0.5) * step_x
         for k in range(weights.shape[1]):
             step_y = 0.5 * (y_edges[k // 2 + 1] - y_edges[k // 2])
-            wo = from_tilts(wi, x, y_edges[k // 2] + (k % 2 + 0.5) * step_y)
-            _, _, density = to_tilts(wi, wo)
-            weights[j, k] = step_x * step_y / density * wo[2] / (cos_i * max(wo[2], GRAZING))
+            wo = from_tilts(wi, x, y_edges[k // 2] + (k % 2 + 0.5) * step_y, widths)
+            _, _, density = to_tilts(wi, wo, widths)
+            weights[j, k] = step_x * step_y / density * wo[2] * shadowing(wi, wo, widths)
 
 
 @kernel(allocates=False)

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from microgeometry.errors import InputError
 
 if TYPE_CHECKING:
+    from gonio.table.anisotropic import AnisotropicTable
     from gonio.table.table import Table
+
+    AnyTable = TypeVar("AnyTable", Table, AnisotropicTable)
 
 TRANSMISSION = "transmission"
 
@@ -42,25 +45,25 @@ def orders_of(table: Table) -> dict[str, Table]:
     return {}
 
 
-def walk(table: Table, path: str = "") -> Iterator[tuple[str, Table]]:
+def walk(table: AnyTable, path: str = "") -> Iterator[tuple[str, AnyTable]]:
     """All parts and their parts with their paths, such as "transmission/L1", each before its own."""
     for name, part in table.parts.items():
         yield path + name, part
         yield from walk(part, f"{path}{name}/")
 
 
-def extract(table: Table, path: str) -> Table:
+def extract(table: AnyTable, path: str) -> AnyTable:
     """A part as a table of its own, which says in its provenance which part of what it is.
 
     Parameters
     ----------
-    table : Table
+    table : Table or AnisotropicTable
     path : str
         Name of the part; of a part's part after a slash: "transmission/L1".
 
     Returns
     -------
-    Table
+    Table or AnisotropicTable
         With the ledger and provenance of the whole, and the latter's ``part``.
 
     Raises

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gonio.core.directions import projected_solid_angles
 from gonio.table import many
+from gonio.table.brdf_table import BRDFTable, check_arrays, check_channels, check_parts
 from gonio.table.peak import Peak
 from gonio.table.pool import Pool, pool_tables
 from microgeometry.errors import InputError
@@ -24,7 +25,7 @@ _SHARED = ("theta_i", "theta_i_edges", "theta_r_edges", "delta_phi_edges", "chan
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class Table(BRDFTable):
     """An isotropic BRDF on a (theta_i, theta_r, delta phi) grid, with its error bars. Immutable.
 
     Angles are radians between the outward directions and the macroscopic normal; delta phi, folded to
@@ -117,40 +118,16 @@ class Table:
             "specular": (rows, channels),
             "specular_std_error": (rows, channels),
         }
-        for name, want in expected.items():
-            given = getattr(self, name)
-            if given is None:
-                continue
-            kind = {"hits": np.int64, "gaps": np.bool_}.get(name, np.float64)
-            array: NDArray = np.array(given, kind)
-            if array.shape == () and name.startswith(("albedo_", "specular")):
-                array = np.full(want, array)
-            if array.shape != want:
-                raise InputError(f"{name}: shape {array.shape}; {want} is expected")
-            if name != "std_error" and not np.all(np.isfinite(array)):
-                raise InputError(f"{name}: contains NaN or infinity; finite numbers are expected")
-            if name == "std_error" and not np.all(array >= 0):
-                raise InputError("std_error: contains NaN or negative numbers; a standard error is >= 0")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-        object.__setattr__(self, "channels", tuple(str(c) for c in self.channels))
-        if len(self.channels) != channels:
-            raise InputError(f"channels: {len(self.channels)} names for {channels} channels of values")
+        check_arrays(self, expected, {"hits": np.int64, "gaps": np.bool_})
+        check_channels(self, channels)
         self._check_axis("theta_r_edges", 0.0, np.pi / 2)
         self._check_axis("delta_phi_edges", 0.0, np.pi)
-        if self.wavelengths_nm is not None:
-            object.__setattr__(self, "wavelengths_nm", tuple(float(w) for w in self.wavelengths_nm))
-            if len(self.wavelengths_nm) != channels or not all(w > 0 for w in self.wavelengths_nm):
-                raise InputError(
-                    f"wavelengths_nm: {self.wavelengths_nm}; {channels} positive numbers are expected"
-                )
         self._check_rows()
         if self.peak is not None and self.peak.values.shape[::3] != (rows, channels):
             raise InputError(
                 f"peak/values: shape {self.peak.values.shape}; {rows} rows and {channels} channels are expected"
             )
-        object.__setattr__(self, "parts", dict(self.parts))
-        self._check_parts()
+        check_parts(self, _SHARED)
 
     def _check_axis(self, name: str, first: float, last: float) -> None:
         edges = getattr(self, name)
@@ -169,19 +146,6 @@ class Table:
                     f"{name}: must increase within 0 to pi/2 radians, found {angles[0]} to {angles[-1]}"
                 )
 
-    def _check_parts(self) -> None:
-        for name, part in self.parts.items():
-            if not isinstance(name, str) or name in ("", ".") or "/" in name:
-                raise InputError(f"parts: the name {name!r}; a word without slashes is expected")
-            if not isinstance(part, Table):
-                raise InputError(f"parts/{name}: {type(part).__name__}; a Table is expected")
-            for field_name in _SHARED:
-                # None, tuples and arrays alike
-                if not np.array_equal(getattr(part, field_name), getattr(self, field_name)):
-                    raise InputError(
-                        f"parts/{name}: {field_name} is not the table's; a part is on the same grid and channels"
-                    )
-
     @property
     def theta_r(self) -> Array:
         """Middle of each ring of cells, radians, shape (R,)."""
@@ -196,19 +160,6 @@ class Table:
     def projected_solid_angles(self) -> Array:
         """Projected solid angle of each cell, both signs of delta phi, sr, shape (R, P); sums to pi."""
         return projected_solid_angles(self.theta_r_edges, self.delta_phi_edges)
-
-    @property
-    def luminance(self) -> Array | None:
-        """Weights of the channels in the luminance Y, shape (C,), where they are CIE colour; else None.
-
-        R, G or B of a colour outside the gamut of sRGB lie outside 0 to 1; its luminance does not.
-        """
-        weights = self.provenance.get("colour", {}).get("luminance")
-        return None if weights is None else np.array(weights, float)
-
-    def replace(self, **changes: Any) -> Table:
-        """A copy with some fields changed, checked like a new table."""
-        return Table(**{f.name: changes.get(f.name, getattr(self, f.name)) for f in fields(self)})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Any:
@@ -228,73 +179,13 @@ class Table:
 
         return formats.read_any(path)
 
-    def save(self, path: str | os.PathLike[str]) -> list[str]:
-        """Write the table in the format of the suffix (.h5 keeps everything); see `gonio.formats`.
-
-        Returns
-        -------
-        list of str
-            What the format could not keep, one sentence each.
-
-        Raises
-        ------
-        OSError
-            The file cannot be written; nothing is left under its name.
-        """
-        from gonio import formats
-
-        return formats.write(self, path)
-
     @cached_property
     def pool(self) -> Pool:
         """The table laid out for the kernels of `gonio.table.interpolation`, as table 0 of a pool."""
         return pool_tables([self])
 
-    def eval(self, wi: ArrayLike, wo: ArrayLike) -> Array:
-        """Interpolated BRDF without the delta term; how is said in `gonio.table.interpolation`.
-
-        Parameters
-        ----------
-        wi, wo : array_like, shape (..., 3)
-            Unit directions to the light and to the detector, broadcast against each other.
-
-        Returns
-        -------
-        ndarray, shape (..., C)
-            f_r in 1/sr; 0 where a direction is below the horizon.
-        """
-        wi, wo, shape = flat(wi, wo)
-        out = np.empty((len(wi), len(self.channels)))
-        many.eval_many(self.pool, 0, wi, wo, out)
-        return out.reshape(*shape, -1)
-
-    def sample(self, wi: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
-        """Draw `wo` in proportion to the channel mean of f cos(theta_o), without the delta term.
-
-        Parameters
-        ----------
-        wi : array_like, shape (..., 3)
-            Unit directions to the light.
-        u : array_like, shape (..., 3)
-            Uniform in [0, 1), broadcast against `wi`.
-
-        Returns
-        -------
-        wo : ndarray, shape (..., 3)
-        pdf : ndarray, shape (...)
-            Per solid angle; 0 marks a sample to be discarded (nothing is reflected).
-        """
-        wi, u, shape = flat(wi, u)
-        wo, pdf = np.empty_like(wi), np.empty(len(wi))
-        many.sample_many(self.pool, 0, wi, u, wo, pdf)
-        return wo.reshape(*shape, 3), pdf.reshape(shape)
-
-    def pdf(self, wi: ArrayLike, wo: ArrayLike) -> Array:
-        """Density per solid angle with which `sample` draws `wo`, shape (...); directions as in `eval`."""
-        wi, wo, shape = flat(wi, wo)
-        out = np.empty(len(wi))
-        many.pdf_many(self.pool, 0, wi, wo, out)
-        return out.reshape(shape)
+    def _pools(self) -> tuple[Pool, None]:
+        return self.pool, None
 
     def albedo(self, theta_i: ArrayLike) -> Array:
         """Directional-hemispherical reflectance, delta term included, interpolated between the rows.
@@ -313,15 +204,3 @@ class Table:
         specular = np.empty_like(albedo)
         many.row_quantities_many(self.pool, 0, cos_i.ravel(), albedo, specular)
         return (albedo + specular).reshape(*cos_i.shape, -1)
-
-
-def flat(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:
-    """Two arrays of triples, broadcast and flattened to shape (N, 3), and the shape they had."""
-    a, b = np.broadcast_arrays(np.asarray(a, float), np.asarray(b, float))
-    if a.shape[-1:] != (3,):
-        raise ValueError(f"directions of shape {a.shape}; (..., 3) is expected")
-    return (
-        np.ascontiguousarray(a).reshape(-1, 3),
-        np.ascontiguousarray(b).reshape(-1, 3),
-        a.shape[:-1],
-    )

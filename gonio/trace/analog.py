@@ -58,8 +58,8 @@ class Bins(NamedTuple):
     """Numbers of bounces told apart; the last collects all beyond."""
     share: NDArray[np.float64]
     """(S,) weights that turn the energies of the samples into the mean over the table's channels."""
-    by_tilt: bool
-    """Of an anisotropic table: `theta` and `phi` are the edges of the tilts x and y (`gonio.table.tilts`)."""
+    widths: tuple[float, float]
+    """Of an anisotropic table, whose `theta` and `phi` are edges of tilts (`gonio.table.tilts`): of slopes; else 0."""
 
 
 class Sums(NamedTuple):
@@ -108,7 +108,7 @@ def trace_surface(
     ----------
     embree : Handle
     box : Box
-    horizon : Horizon or None
+    horizon : Horizon
     coherent : bool
         As in `trace_packet`.
     eta_k, albedo : ndarray or None
@@ -159,8 +159,8 @@ def _trace_packets(
             embree, box, horizon, coherent, packet, eta_k, albedo, max_bounces, seed, batch, path,
             weight, polarisation, axis, retreat, bounces, status, absorbed,
         )  # fmt: skip
-        if bins.by_tilt:
-            _exit_by_tilt(packet, wi)
+        if bins.widths[0] > 0.0:
+            _exit_by_tilt(packet, wi, bins.widths)
         else:
             _exit(packet, azimuth)
         for lane in range(PACKET_WIDTH):  # all cells before the first is read: the caches' misses overlap
@@ -246,8 +246,8 @@ def _trace_paths(
             sums.ledger[RAYS] += rays
             for s in range(weight.shape[0]):
                 weight[s] = light[s, 0]
-            if bins.by_tilt:
-                sin2, cosine = _tilts(wi, wo[0], wo[1], wo[2])
+            if bins.widths[0] > 0.0:
+                sin2, cosine = _tilts(wi, bins.widths, wo[0], wo[1], wo[2])
             else:
                 sin2, cosine = _coordinates(wo[0], wo[1], wo[2], azimuth)
             joined = joined and status == REFLECTED
@@ -325,19 +325,21 @@ def _exit(packet, azimuth):
 
 
 @kernel(allocates=False)
-def _tilts(wi, x, y, z):
+def _tilts(wi, widths, x, y, z):
     """Tilts x and -y of a direction, turned up at the plane if it leaves below: in place of `_coordinates`."""
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-    tilt_x, tilt_y, _ = to_tilts(wi, (scale * x, scale * y, scale * abs(z)))
+    tilt_x, tilt_y, _ = to_tilts(wi, (scale * x, scale * y, scale * abs(z)), widths)
     return tilt_x, -tilt_y
 
 
 @kernel(allocates=False)
-def _exit_by_tilt(packet, wi):
+def _exit_by_tilt(packet, wi, widths):
     """`_tilts` of all 16 paths at once, in the rows HIT_U and HIT_V."""
     for lane in range(PACKET_WIDTH):
         x, y, z = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
-        packet[HIT_U, lane], packet[HIT_V, lane] = _tilts(wi, np.float64(x), np.float64(y), np.float64(z))
+        packet[HIT_U, lane], packet[HIT_V, lane] = _tilts(
+            wi, widths, np.float64(x), np.float64(y), np.float64(z)
+        )
 
 
 @kernel(allocates=False)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gonio.core.directions import projected_solid_angles
 from gonio.core.lookup import axis
 from gonio.core.parallel import for_each
+from gonio.table.tilts import slope_widths
 from gonio.trace.analog import RAYS, Beam, Bins, Part, Sums
 from gonio.trace.anisotropic import AnisotropicLayout
 from gonio.trace.estimators import ANALOG, HALF_VECTOR, NEXT_EVENT, roughness
@@ -134,7 +135,7 @@ class BatchTracer:
             self.bin_areas.size if self.peak else -1,
             self._orders,
             self.tracer.stack.share,
-            grid.anisotropic,
+            (0.0, 0.0) if self.anisotropic is None else slope_widths(*edges),
         )
         self.looks: LambertLooks | None = None
         if looks is not None and self.tracer.optics is not None:

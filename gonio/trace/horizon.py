@@ -40,7 +40,10 @@ Field = NDArray[np.float32]
 
 
 class Horizon(NamedTuple):
-    """Bounds on the slope (height over distance) of everything in sight, by block and sector."""
+    """Bounds on the slope (height over distance) of everything in sight, by block and sector.
+
+    Without blocks (`NO_HORIZON`), where there is none: the same type, so that kernels are compiled once.
+    """
 
     slopes: NDArray[np.uint16]
     """Seen from the block's lowest and highest point, in units of 16/65535, the last meaning anything steeper;
@@ -52,6 +55,15 @@ class Horizon(NamedTuple):
     """Blocks per unit of length."""
     samples: Field
     """Of the height field, for `gonio.trace.from_above.fall`."""
+
+
+NO_HORIZON = Horizon(
+    np.empty((0, 0, SECTORS, 2), np.uint16),
+    np.empty((0, 0, 2), np.float32),
+    np.float32(0.0),
+    np.float32(0.0),
+    np.empty((0, 0), np.float32),
+)
 
 
 def find_horizon(z: NDArray[np.float64], width_x: float, width_y: float) -> Horizon:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.core.embree import Handle, Scene
-from gonio.trace.horizon import Horizon, find_horizon
+from gonio.trace.horizon import NO_HORIZON, Horizon, find_horizon
 from microgeometry.materials import Conductor, Lambert, Mirror
 from microgeometry.specimen import Layer
 from microgeometry.tile import HeightField, Tile, TriangleMesh
@@ -55,7 +55,8 @@ class TraceScene:
         Height, in metres, that the unit tile has as z = 0.
     facets : int
         Number of triangles.
-    horizon : Horizon or None
+    horizon : Horizon
+        `NO_HORIZON`, where it was not asked for or is not known.
     """
 
     def __init__(
@@ -82,7 +83,7 @@ class TraceScene:
                 self.facets += len(tile.faces)
         self._scene.commit()
         self.embree: Handle = self._scene.handle
-        self.horizon: Horizon | None = None
+        self.horizon: Horizon = NO_HORIZON
         if horizon and len(tiles) == 1 and isinstance(tiles[0], HeightField):
             self.horizon = find_horizon(z, width * scale, depth * scale)
         half = 0.5 * (high - low) * scale

@@ -142,8 +142,8 @@ def trace_packet(
     ----------
     embree : Handle
     box : Box
-    horizon : Horizon or None
-        Of a height field. Paths that climb past it are out without another ray, and those that come straight
+    horizon : Horizon
+        Of a height field, or none. Paths that climb past it are out without another ray, and those that come straight
         down need none to find their first facet.
     coherent : bool
         Whether neighbouring paths start within a few facets of each other: Embree then traces them
@@ -184,9 +184,10 @@ def trace_packet(
     segments = 0
     active = PACKET_WIDTH
     rays = 0
-    falls = horizon is not None and is_vertical(packet)
+    has_horizon = horizon.slopes.shape[0] > 0
+    falls = has_horizon and is_vertical(packet)
     while active > 0:
-        if horizon is not None and falls:
+        if falls:
             fall(horizon.samples, box, packet)
             falls = False
         else:
@@ -220,7 +221,7 @@ def trace_packet(
                 status[lane] = end
                 ints[VALID, lane] = 0
                 active -= 1
-        if horizon is not None and active > 0:
+        if has_horizon and active > 0:
             active -= _escape(horizon, packet, status)
         for lane in range(PACKET_WIDTH):
             packet[T_FAR, lane] = _FAR

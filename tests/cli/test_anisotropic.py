@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from gonio import Table
@@ -68,7 +69,7 @@ def test_check(folder):
         ("compress", "t.h5", "-o", "c.h5"),
         ("convert", "t.h5", "t.binary"),
         ("fit", "t.h5", "--model", "ward"),
-        ("report", "t.h5", "-o", "r.html"),
+        ("convert", "t.h5", "t.npz"),
     ],
 )
 def test_what_is_for_isotropic_tables_says_so(folder, arguments):
@@ -79,6 +80,27 @@ def test_what_is_for_isotropic_tables_says_so(folder, arguments):
     assert "trace the specimen without anisotropic = true" in line
     assert "Traceback" not in run.stderr
     assert not (folder / arguments[-1]).exists()
+
+
+def test_report_shows_it_at_several_azimuths(folder):
+    run = gonio("report", "t.h5", "-o", "r.html", cwd=folder)
+    assert run.returncode == 0, run.stderr
+    page = (folder / "r.html").read_text()
+    for heading in ("Measurement", "Where the light went", "Checks", "Hemisphere", "Directional albedo"):
+        assert f"<h2>{heading}</h2>" in page
+    assert page.count("data:image/png") >= 3
+    assert "reciprocity" in page
+
+
+def test_convert_to_h5_keeps_it(folder):
+    run = gonio("convert", "t.h5", "copy.h5", cwd=folder)
+    assert run.returncode == 0, run.stderr
+    table, copy = Table.load(folder / "t.h5"), Table.load(folder / "copy.h5")
+    assert np.array_equal(table.energy, copy.energy)
+    assert table.provenance == copy.provenance
+    run = gonio("convert", "t.h5", "part.h5", "--part", "transmission", cwd=folder)
+    assert run.returncode == 2
+    assert "the table has no 'transmission'; its parts are: none" in run.stderr
 
 
 def test_a_format_that_cannot_hold_it_is_refused_before_the_trace(folder):

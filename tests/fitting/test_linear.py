@@ -83,9 +83,11 @@ def test_a_coefficient_with_feedback(rho: float) -> None:
     assert residual <= np.sum((terms @ f - noisy[:, None]) ** 2, axis=0).min() + 1e-9
 
 
-def test_a_lobe_that_no_sample_sees_has_no_coefficient() -> None:
+@pytest.mark.parametrize("start", [None, [1e6, 0.1, 0.1]])
+def test_a_lobe_that_no_sample_sees_has_no_coefficient(start: list[float] | None) -> None:
     terms = np.random.default_rng(0).random((50, 3))
     terms[:, 0] *= 1e-30
-    c, residual = best(Coefficients(MODELS["cook_torrance_ggx"].lobes), terms, terms @ [1.0, 0.5, 0.2], ANY)
+    solver = Coefficients(MODELS["cook_torrance_ggx"].lobes)
+    c, residual = best(solver, terms, terms @ [1.0, 0.5, 0.2], ANY, start)
     assert c == pytest.approx([0.0, 0.5, 0.2])
     assert residual == pytest.approx(0.0, abs=1e-12)

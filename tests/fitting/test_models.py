@@ -62,10 +62,16 @@ SHAPES = [
     ("walter_ggx", {"alpha": 0.3, "eta": 1.5}),
     ("hanrahan_krueger", {"tau": 1.0, "g": 0.3, "eta": 1.4}),
 ]
+# the other combinations of Cook-Torrance
+_OTHERS = {"alpha": 0.3, "gamma": 1.5, "eta": 1.5, "k": 3.4}
+REST = [
+    (name, {q.name: _OTHERS[q.name] for q in LOBES[name].parameters})
+    for name in sorted(LOBES.keys() - {name for name, _ in SHAPES})
+]
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize(("name", "shape"), SHAPES, ids=str)
+@pytest.mark.parametrize(("name", "shape"), SHAPES + REST, ids=str)
 def test_lobe_passes_the_validation_kit(name: str, shape: dict[str, float]) -> None:
     lobe = LOBES[name]
     # white but for the full Oren-Nayar: albedo 0.97 is the highest at which it keeps energy, see its errata

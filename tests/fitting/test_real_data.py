@@ -11,7 +11,7 @@ import pytest
 
 from fitting import Samples, fit
 from fitting.compare import fit_models
-from fitting.merl import decode, fit_all, measurements, medians, published
+from fitting.merl import PUBLISHED, decode, fit_all, measurements, medians, published
 from fitting.models import find_model
 from fitting.objectives import find_objective
 from fitting.problem import Problem
@@ -60,6 +60,14 @@ def test_a_fit_is_better_than_the_published_one_by_the_same_measure(real: Path) 
         assert best <= others[theirs]["relative_ngan_l2"]
     ours = fit(samples, "beckmann_v_cavity_dielectric+lambert", objective="low_log").residuals["low_log"]
     assert ours <= min(others[file]["low_log"] for file in ("low_cooktorrance_E1", "low_cooktorrance_E2"))
+
+
+def test_a_lobe_that_all_but_vanishes_takes_no_coefficient_beyond_measure(real: Path) -> None:
+    # single scattering of a layer of no depth: coefficients of 1e72 once looked like a perfect fit of the
+    # coarse cells
+    found = fit(measurements(real / "nbrdf", "cherry-235"), "hanrahan_krueger")
+    assert found.residuals["relative_ngan_l2"] < 0.1
+    assert max(v for lobe in found.lobes for c in lobe.coefficients.values() for v in c.values()) < 100.0
 
 
 def evenly(real: Path, name: str) -> Samples:
@@ -134,6 +142,12 @@ def hundred(real: Path):
 def test_medians_over_the_hundred_materials_are_no_worse_than_a_reference_search(hundred, model: str) -> None:
     assert len(hundred) == 100
     assert medians(hundred)[model][0] <= REFERENCE[model]
+
+
+@pytest.mark.slow
+def test_no_fit_is_worse_than_nothing(hundred) -> None:
+    ours = [(f["relative_ngan_l2"], model, n) for n, fits in hundred.items() for model, f in fits.items()]
+    assert max(f for f in ours if f[1] not in PUBLISHED)[0] <= 1.0
 
 
 @pytest.mark.slow

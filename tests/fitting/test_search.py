@@ -36,6 +36,16 @@ def test_what_a_model_cannot_describe_ends_after_few_looks() -> None:
     assert abs(problem.equations(point)[1][0]) < 1e-6
 
 
+@pytest.mark.parametrize("model", ["cook_torrance_ggx", "hanrahan_krueger"])
+def test_coefficients_that_leave_no_digits_are_forgotten(model: str) -> None:
+    problem = problem_of(samples_of(material(model, *MODELS[model]), 2000), model)
+    x = np.full(len(problem.parameters), 0.6)
+    fresh = problem.evaluate(x, None)
+    found = problem.evaluate(x, np.full(fresh.coefficients.shape, 1e60))
+    assert found.value == fresh.value
+    assert np.array_equal(found.coefficients, fresh.coefficients)
+
+
 def misled(monkeypatch: pytest.MonkeyPatch, place: dict[int, list[float]]) -> None:
     """Let the global search end where it is told to, by the number of shape parameters."""
     monkeypatch.setattr(

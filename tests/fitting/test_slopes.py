@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fitting.models import LOBES
-from fitting.models.dispatch import lobe_slopes, lobe_terms
+from fitting.models.dispatch import SIDE, lobe_side, lobe_slopes, lobe_terms, lobe_terms_of_sides
 
 from .materials import polar
 
@@ -25,7 +25,11 @@ def test_slopes_are_differences(lobe) -> None:
         )
         out = np.full(8, np.nan)
         values = lobe_terms(lobe.kind, p, wi, wo)
-        lobe_slopes(lobe.kind, p, tangents, wi, wo, values, out)
+        sides = np.full((2, SIDE), np.nan)
+        lobe_side(lobe.kind, p, tangents, wi, sides[0])
+        lobe_side(lobe.kind, p, tangents, wo, sides[1])
+        assert lobe_terms_of_sides(lobe.kind, p, wi, wo, *sides) == pytest.approx(values, rel=1e-14)
+        lobe_slopes(lobe.kind, p, tangents, wi, wo, values, *sides, out)
         for j, q in enumerate(lobe.parameters):
             step = 1e-5 * shape[j]
             ends = []

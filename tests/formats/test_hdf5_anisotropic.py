@@ -70,6 +70,18 @@ def test_a_missing_dataset_is_named(table, tmp_path, name):
         Table.load(tmp_path / "t.h5")
 
 
+def test_cells_of_an_older_version_are_refused(table, tmp_path):
+    table.save(tmp_path / "t.h5")
+    with h5py.File(tmp_path / "t.h5", "r+") as file:
+        file.attrs["version"] = "1.0"
+    with pytest.raises(InputError, match=r"version 1\.0 has its cells laid out otherwise.*trace it again"):
+        Table.load(tmp_path / "t.h5")
+    with h5py.File(tmp_path / "t.h5", "r+") as file:
+        file.attrs["version"] = "3.0"
+    with pytest.raises(InputError, match=r"newer than 2\.0"):
+        Table.load(tmp_path / "t.h5")
+
+
 def test_a_truncated_file_is_refused(table, tmp_path):
     table.save(tmp_path / "t.h5")
     content = (tmp_path / "t.h5").read_bytes()

@@ -8,7 +8,7 @@ from gonio.bench.anisotropic import beckmann
 from gonio.core.directions import direction
 from gonio.core.jit import disabled
 from gonio.table.checks.anisotropic import check_anisotropic
-from gonio.table.tilts import tilt_edges, tilt_measures
+from gonio.table.tilts import slope_widths, tilt_edges, tilt_measures
 from gonio.trace.measure import measure
 from gonio.trace.measurement import Measurement
 from microgeometry.errors import InputError
@@ -69,15 +69,15 @@ def test_what_is_not_reciprocal_fails(brushed):
 
 
 def test_highlight_is_wide_across_the_grooves(brushed):
-    """Slopes are measured from the cells at normal incidence: light at tilts x, y came off slopes tan x, tan y."""
+    """Slopes are measured from the cells at normal incidence: of the half vectors of their middles."""
     energy = brushed.energy[0, 0, :, :, 0].astype(float)
-    surface = brushed.provenance["surface"]
-    for axis, name, edges in ((1, "alpha_x", brushed.tilt_x_edges), (0, "alpha_y", brushed.tilt_y_edges)):
-        share = energy.sum(axis=axis)
-        middle = np.tan(0.5 * (edges[1:] + edges[:-1]))
-        inside = np.abs(middle) < 3.5 * surface[name]
-        width = np.sqrt(2 * np.sum((share * middle**2)[inside]))
-        assert width == pytest.approx(surface[name], rel=0.03)
+    half = brushed.cells(0, 0)[0] + [0, 0, 1]
+    for axis, name in enumerate(("alpha_x", "alpha_y")):
+        alpha = brushed.provenance["surface"][name]
+        slopes = half[..., axis] / half[..., 2]
+        inside = np.abs(slopes) < 3.5 * alpha
+        width = np.sqrt(2 * np.sum((energy * slopes**2)[inside]))
+        assert width == pytest.approx(alpha, rel=0.03)
 
 
 def test_an_isotropic_specimen_gives_the_isotropic_table():
@@ -91,11 +91,12 @@ def test_an_isotropic_specimen_gives_the_isotropic_table():
         anisotropic(surface, theta_i_deg=theta, phi_i_step_deg=90, tilt_cells=35), rays=1_000_000, seed=2
     )
     edges = finer(table.tilt_x_edges, 4), finer(table.tilt_y_edges, 4)
+    widths = slope_widths(table.tilt_x_edges, table.tilt_y_edges)
     chi2, blocks = 0.0, 0
     for a in range(2):
         for b in range(4):
             wi = direction(table.theta_i[a], table.phi_i[b])
-            wo, areas = tilt_measures(wi, *edges)
+            wo, areas = tilt_measures(wi, *edges, widths)
             f = plain.eval(wi, wo)[..., 0] * areas
             expected = joined(f, 20)
             found = joined(table.energy[a, b, :, :, 0].astype(float), 5)
@@ -174,7 +175,7 @@ def test_goes_on_to_the_same_bits_and_to_a_target():
         second.add_batch()
     assert np.array_equal(straight.table().energy, second.table().energy)
     assert np.array_equal(straight.table().std_error, second.table().std_error)
-    table = measure(given, rays=2_000_000, target_error=0.1)
+    table = measure(given, rays=2_000_000, target_error=0.2)
     assert table.provenance["target_met"] is True
     assert table.ledger["paths"] < 2_000_000
 

@@ -234,7 +234,8 @@ def spawn():
 def kill_and_resume(spawn, folder, times, seed):
     """Kill runs at random moments, until there were so many kills; every run must end with the same table.
 
-    Every other kill waits for a checkpoint first: on a busy machine a process takes long to start.
+    Every other kill waits for a checkpoint first: on a busy machine a process takes long to start. Returns how many
+    processes found one.
     """
     rays, chance = 400_000, random.Random(seed)
     for _ in range(2):  # once to compile
@@ -247,19 +248,22 @@ def kill_and_resume(spawn, folder, times, seed):
     while killed < times:
         runs += 1
         out = f"t{runs}.h5"
+        checkpoint, log = folder / f"{out}.checkpoint", folder / f"{out}.txt"
         exitcode = None
         while exitcode != 0:
+            found, said = checkpoint.exists(), log.read_text() if log.exists() else ""
+            resumed += found
             process = spawn(folder, out, rays)
             aimed = killed % 2 == 1
-            while aimed and process.is_alive() and not (folder / f"{out}.checkpoint").exists():
+            while aimed and process.is_alive() and not checkpoint.exists():
                 time.sleep(0.005)
             process.join(chance.uniform(0.0, 0.2 * whole if aimed else whole))
             process.kill()
             process.join()
             exitcode = process.exitcode
-            assert exitcode in (0, -signal.SIGKILL), (folder / f"{out}.txt").read_text()
+            assert exitcode in (0, -signal.SIGKILL), log.read_text()
             killed += exitcode != 0
-        resumed += (folder / f"{out}.txt").read_text().count("going on after")
+        assert ("going on after" in log.read_text()[len(said) :]) == found
         assert_same(Table.load(folder / out), straight)
         # neither checkpoints nor temporary files
         left = {p.name for p in folder.iterdir() if p.name.startswith((f"{out}.", f".{out[:-3]}"))}

@@ -7,7 +7,7 @@ import pytest
 
 from gonio.core.embree import new_ray
 from gonio.core.jit import kernel
-from gonio.trace.horizon import escapes, find_horizon
+from gonio.trace.horizon import NO_HORIZON, escapes, find_horizon
 from gonio.trace.scene import TraceScene
 from gonio.trace.tracer import Tracer
 from gonio.trace.visibility import _is_free
@@ -152,7 +152,7 @@ def test_paths_end_the_same_to_the_bit(name, material):
 )
 def test_where_it_pays(surface, paths, expected):
     tracer = Tracer(parse_specimen({"surface": surface, "material": {"kind": "mirror"}}), 0, paths)
-    assert (tracer.realise(0).scene.horizon is not None) == expected
+    assert (tracer.realise(0).scene.horizon is not NO_HORIZON) == expected
 
 
 def test_heights_and_widths_are_in_one_unit():

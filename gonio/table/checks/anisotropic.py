@@ -10,7 +10,7 @@ from gonio.table.anisotropic import AnisotropicTable
 from gonio.table.checks import check_ledger, limit
 from gonio.table.checks.report import Check, CheckReport
 from gonio.table.parts import TRANSMISSION
-from gonio.table.tilts import to_tilts_many
+from gonio.table.tilts import slope_widths, to_tilts_many
 
 Array = NDArray[np.float64]
 
@@ -73,11 +73,12 @@ def _reciprocity(table: AnisotropicTable) -> Check:
     wi = direction(theta, phi).reshape(-1, 3)[rows]
     n = len(rows)
     value, variance = np.empty((2, n, n))
+    widths = slope_widths(table.tilt_x_edges, table.tilt_y_edges)
     sizes = np.outer(np.diff(table.tilt_x_edges), np.diff(table.tilt_y_edges))
     for k, (a, b) in enumerate(zip(*np.unravel_index(rows, theta.shape), strict=True)):
         there = np.ascontiguousarray(np.broadcast_to(wi[k], wi.shape))
         tilts = np.empty((n, 3))
-        to_tilts_many(there, wi, tilts)
+        to_tilts_many(there, wi, widths, tilts)
         cell = tuple(
             np.clip(np.searchsorted(edges, tilts[:, axis], side="right") - 1, 0, len(edges) - 2)
             for axis, edges in enumerate((table.tilt_x_edges, table.tilt_y_edges))
