@@ -10,6 +10,7 @@ from microgeometry.errors import InputError
 
 BENCHMARKS = {
     "trace": "gonio.bench.trace",
+    "suite": "gonio.bench.suite",
     "materials": "gonio.bench.materials",
     "workers": "gonio.bench.workers",
     "compress": "gonio.bench.compress",

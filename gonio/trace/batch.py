@@ -14,7 +14,7 @@ from gonio.core.parallel import for_each
 from gonio.table.tilts import slope_widths
 from gonio.trace.analog import RAYS, Beam, Bins, Part, Sums
 from gonio.trace.anisotropic import AnisotropicLayout
-from gonio.trace.estimators import ANALOG, HALF_VECTOR, NEXT_EVENT, roughness
+from gonio.trace.estimators import ANALOG, FEW_FACETS, HALF_VECTOR, NEXT_EVENT, roughness
 from gonio.trace.facets import measure_facets
 from gonio.trace.half_vector import HalfVector
 from gonio.trace.next_event import LambertLooks
@@ -105,7 +105,8 @@ class BatchTracer:
         self._strata = 2 ** (job.exponent // 2), 2 ** (job.exponent - job.exponent // 2)
         self.paths_per_pass = 16 * 2**job.exponent
         looks = LOOKS if job.estimator == NEXT_EVENT else None
-        self.tracer = Tracer(job.specimen, job.seed, self.paths_per_pass, len(self.theta_i), looks)
+        on_net = job.estimator == FEW_FACETS
+        self.tracer = Tracer(job.specimen, job.seed, self.paths_per_pass, len(self.theta_i), looks, on_net)
         self.alpha = roughness(self.tracer) if job.estimator == HALF_VECTOR else None
         self._orders = grid.orders if self.alpha is None else max(2, grid.orders)
         merged = (1, 1) if self.alpha is None else block_size(self.alpha, *self.areas.shape)

@@ -8,8 +8,9 @@ import numpy as np
 
 from gonio.core.phase import hg, rayleigh
 from gonio.table.table import Table
+from gonio.trace.few_facets import MOST_DIRECTIONS, directions
 from gonio.trace.stack import LAMBERT, SCATTERS, TABLE
-from gonio.trace.tracer import Layers, Tracer
+from gonio.trace.tracer import Layers, Surface, Tracer
 from microgeometry.errors import InputError
 from microgeometry.materials import Conductor, Mirror, TableMaterial
 from microgeometry.media import HenyeyGreenstein, Medium, TabulatedPhase
@@ -24,7 +25,9 @@ HALF_VECTOR = "half-vector"
 """Single bounces off a rough metal by `gonio.trace.half_vector`; what bounces more is binned in coarse cells."""
 NEXT_EVENT = "next-event"
 """Light is joined to detectors wherever it meets a facet or medium that scatters: `gonio.trace.next_event`."""
-ESTIMATORS = ANALOG, HALF_VECTOR, NEXT_EVENT
+FEW_FACETS = "few-facets"
+"""As analog, but paths over facets that look in few directions start on a net: `gonio.trace.few_facets`."""
+ESTIMATORS = ANALOG, HALF_VECTOR, NEXT_EVENT, FEW_FACETS
 
 LEAST_ALPHA = 0.04
 """Of half vectors. Below, a highlight is narrow for cells of one degree: see `gonio.trace.peak_grid`."""
@@ -55,7 +58,11 @@ def choose(specimen: Specimen, seed: int, name: str | None = None) -> str:
                 f"estimator: {name} does not do for anisotropic tables; use {ANALOG}, or leave the choice"
             )
         return ANALOG
-    against = {HALF_VECTOR: _against_half_vector, NEXT_EVENT: _against_next_event}
+    against = {
+        HALF_VECTOR: _against_half_vector,
+        NEXT_EVENT: _against_next_event,
+        FEW_FACETS: _against_few_facets,
+    }
     for estimator in against if name is None else (name,):
         reason = against[estimator](specimen, seed)
         if reason is None:
@@ -101,6 +108,22 @@ def _against_next_event(specimen: Specimen, seed: int) -> str | None:
                 peak = _table_peak(Table.load(material.file))
                 if peak > _MOST_PEAKED:
                     return f"{material.file} has values up to {peak:.3g} times its albedo / pi: it shines"
+    return None
+
+
+def _against_few_facets(specimen: Specimen, seed: int) -> str | None:
+    """Why paths need not start on a net; None where they had better."""
+    tracer = Tracer(specimen, seed, 1)
+    if tracer.optics is None or tracer.optics.albedo is not None:
+        return "it knows one surface of mirror or conductor facets only"
+    realisation = tracer.realise(0)
+    assert isinstance(realisation, Surface)
+    count = directions(realisation.tile)
+    if not 0 < count <= MOST_DIRECTIONS:
+        return f"facets look in {count} directions but up, and it needs 1 to {MOST_DIRECTIONS}"
+    alpha = roughness(tracer)
+    if not alpha >= LEAST_ALPHA:
+        return f"the surface's alpha is {alpha:.3g}, and it needs {LEAST_ALPHA:g}"
     return None
 
 

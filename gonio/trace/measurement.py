@@ -15,7 +15,7 @@ from gonio.interrupt import uninterrupted
 from gonio.trace.batch import BatchTracer, Job
 from gonio.trace.combine import combine
 from gonio.trace.errors import TraceError
-from gonio.trace.estimators import ANALOG, HALF_VECTOR, NEXT_EVENT, choose
+from gonio.trace.estimators import ANALOG, FEW_FACETS, NEXT_EVENT, choose
 from gonio.trace.next_event_cells import JoinedSheet
 from gonio.trace.sheets import Sheet
 from gonio.trace.stopping import Schedule, Verdict, check_target, judge
@@ -27,10 +27,10 @@ MIN_BATCHES = 32
 LOST_LIMIT = 1e-6
 _MAX_EXPONENT = 16  # of the packets of 16 paths, per row and batch
 # A path of next-event estimates is joined to hundreds of detectors: it takes longer, and tells as much as many.
-_DEFAULT_RAYS = {ANALOG: 20_000_000, HALF_VECTOR: 20_000_000, NEXT_EVENT: 2_000_000}
+_DEFAULT_RAYS, _NEXT_EVENT_RAYS = 20_000_000, 2_000_000
 _ROUNDS = 4  # with a target, the batches before the first decision take such a part of the budget
 # paths/s assumed when a time is given, to choose the size of a batch
-_TRIAL_RATE = {ANALOG: 2e6, HALF_VECTOR: 2e6, NEXT_EVENT: 2e5}
+_TRIAL_RATE, _NEXT_EVENT_RATE = 2e6, 2e5
 
 
 class Measurement:
@@ -65,6 +65,8 @@ class Measurement:
         Of the paths binned.
     half_vector : HalfVector or None
         Of single bounces, where these are not taken from the paths.
+    averages : bool
+        Whether tables are averaged by reciprocity (`gonio.trace.reciprocal`): of binned paths, unless told to bin.
     schedule : Schedule
     plan : dict
         The arguments that the result depends on.
@@ -96,23 +98,26 @@ class Measurement:
             raise InputError(f"seed: {seed}; an integer from 0 to 4294967295 is needed")
         self.specimen = specimen
         self.target_error = None if target_error is None else check_target(target_error)
+        told = estimator is not None
         estimator = choose(specimen, seed, estimator)
+        self.averages = not told and estimator in (ANALOG, FEW_FACETS)
         self.plan = {
             "seed": seed,
             "rays": rays,
             "time": seconds,
             "target error": target_error,
             "estimator": estimator,
+            "averages": self.averages,
         }
         self.threads = check_threads(threads)
         bounded = rays is not None or (seconds is None and target_error is None)
+        joins = estimator == NEXT_EVENT
+        usual, rate = (_NEXT_EVENT_RAYS, _NEXT_EVENT_RATE) if joins else (_DEFAULT_RAYS, _TRIAL_RATE)
         if rays is None:
-            rays = (
-                _DEFAULT_RAYS[estimator] if seconds is None else max(1, int(seconds * _TRIAL_RATE[estimator]))
-            )
+            rays = usual if seconds is None else max(1, int(seconds * rate))
         rows = specimen.grid.n_rows
         # decisions fall between batches: with a target there are more of them, and of a large budget no larger ones
-        share = rays if target_error is None else min(rays, _DEFAULT_RAYS[estimator]) // _ROUNDS
+        share = rays if target_error is None else min(rays, usual) // _ROUNDS
         exponent = 0
         while 16 * rows * 2 ** (exponent + 1) * MIN_BATCHES <= share and exponent < _MAX_EXPONENT:
             exponent += 1

@@ -14,6 +14,7 @@ from gonio.table.peak import Peak
 from gonio.table.table import Table
 from gonio.trace.anisotropic import tabulate_anisotropic
 from gonio.trace.batch import BatchTracer
+from gonio.trace.reciprocal import reciprocal
 from gonio.trace.sheets import Sheet
 from microgeometry.specimen import Specimen
 
@@ -45,10 +46,12 @@ def tabulate(measurement: Measurement) -> Table | AnisotropicTable:
     (total, parts), *below = hemispheres
     if below:
         parts = {TRANSMISSION: _sheet(measurement, below[0][0], False, below[0][1]), **parts}
-    table = _sheet(measurement, total, True, parts, ledger)
+    table = _sheet(measurement, total, True, parts, ledger).replace(provenance=_provenance(measurement))
+    if measurement.averages:
+        table = reciprocal(table, tally.rows.paths)
     variance = float(np.median(relative_noise(table))) ** 2
     merit = 1.0 / (variance * measurement.seconds) if variance > 0 else None
-    return table.replace(provenance={**_provenance(measurement), "figure_of_merit": merit})
+    return table.replace(provenance={**table.provenance, "figure_of_merit": merit})
 
 
 def _sheet(

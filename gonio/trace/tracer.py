@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from gonio.trace.analog import Beam, Bins, Part, Sums, trace_stack, trace_surface
+from gonio.trace.few_facets import net, trace_on_net
 from gonio.trace.scene import Optics, TraceScene, pack_optics
 from gonio.trace.stack import Stack, StackScene, pack_stack
 from gonio.trace.stack_looks import clear_zones
@@ -46,6 +47,8 @@ class Tracer:
     rows : int
     looks : int, optional
         Detectors that a stack's light is joined to at every facet that scatters; default: none.
+    on_net : bool
+        Whether paths over a surface of mirrors start on the net of `gonio.trace.few_facets`.
 
     Attributes
     ----------
@@ -68,7 +71,13 @@ class Tracer:
     """
 
     def __init__(
-        self, specimen: Specimen, seed: int, paths_per_row: int, rows: int = 1, looks: int | None = None
+        self,
+        specimen: Specimen,
+        seed: int,
+        paths_per_row: int,
+        rows: int = 1,
+        looks: int | None = None,
+        on_net: bool = False,
     ) -> None:
         self.stack: Stack = pack_stack(specimen)
         self.hemispheres = 2 if self.stack.transmits else 1
@@ -77,6 +86,7 @@ class Tracer:
         self._paths_per_row = paths_per_row
         self._paths = paths_per_row * rows
         self._looks = looks
+        self._net = net(paths_per_row) if on_net else None
         layers = specimen.layers
         self.optics = pack_optics(layers[0]) if len(layers) == 1 else None
         self.ledger_names: tuple[str, ...] = ()
@@ -156,6 +166,12 @@ class Surface:
     def trace(self, bins: Bins, beam: Beam, part: Part, batch: int, sums: Sums) -> None:
         """As `Realisation.trace`."""
         tracer, scene = self._tracer, self.scene
+        if tracer._net is not None:
+            trace_on_net(
+                scene.embree, scene.box, scene.horizon, self._optics.eta_k, tracer.to_channels, bins, beam,
+                tracer._net, part.first, part.last, tracer._seed, batch, MAX_BOUNCES, sums,
+            )  # fmt: skip
+            return
         trace_surface(
             scene.embree, scene.box, scene.horizon, self._coherent, *self._optics, tracer.to_channels, bins,
             beam, part, tracer._seed, batch, MAX_BOUNCES, sums,
