@@ -1,7 +1,7 @@
 """`gonio bench peak`: how well tables represent highlights of any width, their own noise apart.
 
 A rough metal in closed form, f = F D G / (4 cos cos) of Beckmann facets, is averaged over the cells of a table
-without any noise: those of one degree, and where alpha is below `LEAST_ALPHA` those of the grid that a trace
+without any noise: those of one degree, and where alpha is below `WIDEST_ALPHA` those of the grid that a trace
 gives to such a highlight. What the table makes of it between its cells is compared with the closed form where the
 light is: in directions drawn in proportion to it, of which the farthest percent is left out.
 """
@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 from scipy.special import erfc
 
 from gonio.core.directions import direction, projected_solid_angles
-from gonio.table.peak import Peak
+from gonio.table.peak import Peak, visible_points
 from gonio.table.table import Table
-from gonio.trace.estimators import LEAST_ALPHA
-from gonio.trace.peak_grid import PeakGrid, grid_of
+from gonio.trace.peak_grid import WIDEST_ALPHA, PeakGrid, grid_of
 
 Array = NDArray[np.float64]
 
-_ALPHAS = 0.005, 0.02, 0.1, 0.5
-_ANGLES_DEG = 15, 45, 75
+_ALPHAS = 0.005, 0.02, 0.04, 0.07, 0.1, 0.2, 0.4, 0.5
+_ANGLES_DEG = 2, 45, 60, 75, 80, 85
 _POINTS = 4  # of the quadrature, along each side of a cell
 _DIRECTIONS = 100_000
 
@@ -36,7 +35,7 @@ def run(say: Callable[[str], None]) -> dict[str, Any]:
     say(f"{'alpha':>8}  {'grid':22}" + "".join(f"{angle:>10}" for angle in _ANGLES_DEG))
     for alpha in _ALPHAS:
         grids: dict[str, PeakGrid | None] = {"cells": None}
-        if alpha < LEAST_ALPHA:
+        if alpha < WIDEST_ALPHA:
             grids["grid"] = grid_of([alpha], 1.0)
         for name, grid in grids.items():
             errors = [
@@ -80,7 +79,7 @@ def tabulated(alpha: float, rows_deg: NDArray[np.int64], grid: PeakGrid | None) 
             wi = direction(np.arcsin(np.sqrt(square)))
             values[row, ..., 0] += share * np.einsum(each, weight, weight, rough_metal(wi, wo, alpha))
             if peak is not None and g is not None:
-                g[row, ..., 0] += share * np.einsum(each, weight, weight, _energy(wi, peak, alpha))
+                g[row, ..., 0] += share * _energies(wi, peak, alpha)
     if peak is not None and g is not None:
         peak = Peak(g, peak.slope_edges, peak.psi_edges)
         albedo = np.einsum("isqc,sq->ic", peak.values, peak.areas)
@@ -98,14 +97,13 @@ def tabulated(alpha: float, rows_deg: NDArray[np.int64], grid: PeakGrid | None) 
     )
 
 
-def _energy(wi: Array, peak: Peak, alpha: float) -> Array:
-    """The energy g at the points of a peak's cells, shape (S, points, Q, points)."""
-    slope = np.sqrt(_gauss(peak.slope_edges**2)[0])[:, :, None, None]
-    h = direction(np.arctan(slope), _gauss(peak.psi_edges)[0])
-    cos_d = h @ wi
-    wo = 2.0 * cos_d[..., None] * h - wi
-    g = 4.0 * rough_metal(wi, wo, alpha) * wo[..., 2] * cos_d * h[..., 2] ** 3
-    return np.where((wo[..., 2] > 0) & (cos_d > 0), g, 0.0)
+def _energies(wi: Array, peak: Peak, alpha: float) -> Array:
+    """The mean g over a peak's cells, shape (S, Q)."""
+    points = visible_points(float(np.arccos(wi[2])), peak.slope_edges, peak.psi_edges)
+    h = direction(np.arctan(points.slope), points.psi)
+    wo = 2.0 * points.cos_d[..., None] * h - wi
+    g = 4.0 * rough_metal(wi, wo, alpha) * points.measure
+    return (points.weight * g).sum(axis=(1, 3)) / peak.areas
 
 
 def _gauss(edges: Array) -> tuple[Array, Array]:

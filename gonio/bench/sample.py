@@ -4,7 +4,8 @@ A gold table of alpha 0.2 is lit in turn by a white sky, one that darkens to the
 20 degrees in the mirror direction, and the window 30 degrees aside. What light of the sky the table sends
 back is estimated by samples of the directions in proportion to f cos(theta), and by cosine sampling. At equal
 error the numbers of samples are as the variances of a single one; time counts as well: variance x seconds.
-The weight of a sample, f cos/pdf averaged over the channels, is 1 x albedo for every sample of the table.
+The weight of a sample, f cos/pdf averaged over the channels, is 1 x albedo for every sample of a table; of one whose
+highlight has cells of its own (`gonio.table.highlight`), but near the horizon.
 
 Whoever knows the table but not the light can do no better than draw in proportion to f cos(theta), which leaves
 the variance A int f cos L^2 - (int f cos L)^2; it is given as well, from the samples of cosine sampling. Against

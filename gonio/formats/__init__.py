@@ -225,8 +225,9 @@ def _by_content(path: Path, names: tuple[str, ...]) -> str:
         return "rgl"
     if _READINGS in start:
         raise InputError(
-            f"{path}: the log of a Reflet goniometer, whose numbers are readings of its detector and no BSDF; "
-            "export the measurement from the instrument's program, to LightTools, Zemax or ASTM"
+            f"{path}: the log of a Reflet goniometer: its 'Data file type' names what was scanned for, but the numbers "
+            "are readings of the detector, which may be negative, not f in 1/sr; export the measurement from the "
+            "instrument's program, to LightTools, Zemax or ASTM"
         )
     # comments may stand in front; LightTools alone has an angle of incidence in each block
     return "lighttools" if any(line.lstrip().startswith(b"AOI") for line in start.splitlines()) else "zemax"

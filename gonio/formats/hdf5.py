@@ -1,4 +1,4 @@
-"""The table's own format: HDF5 with dimension scales, version 1.2.
+"""The table's own format: HDF5 with dimension scales, version 1.3.
 
 Root attributes: ``format`` = "gonio-table", ``version``, ``conventions`` (angles and units in words), and
 ``ledger`` and ``provenance`` as JSON. Datasets carry the field names of `Table`, their ``units``, and a
@@ -10,7 +10,7 @@ A table whose values are compressed has, in place of ``values``, a group ``compr
 its own scales, so that xarray opens a group like the file. A highlight on a grid of its own is the group
 ``peak`` (see `gonio.table.peak`). Readers accept any minor version of their own major version.
 
-Version 1.1 added parts, version 1.2 the peak.
+Version 1.1 added parts, version 1.2 the peak, version 1.3 the peak compressed.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from gonio.formats.hdf5_content import write_content
 from gonio.formats.hdf5_data import at, child, read_array, read_channels, read_json, write_data, write_scale
 from gonio.formats.hdf5_heaps import check_heaps
 from gonio.table.anisotropic import AnisotropicTable
-from gonio.table.peak import Peak
+from gonio.table.peak import Peak, slope_areas
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
 FORMAT = "gonio-table"
-VERSION = "1.2"
+VERSION = "1.3"
 _CONVENTIONS = (
     "values are BRDF f_r in 1/sr without cosine, averaged over cells in projected solid angle; theta_i and "
     "theta_r are polar angles of the outward directions to light and detector; delta_phi = |phi_i - phi_r| "
@@ -157,7 +157,7 @@ def _write(group: h5py.Group, table: Table, compressed: Compressed | None, path:
             continue
         write_data(group, name, np.asarray(data), axes, unit)
     if table.peak is not None:
-        _write_peak(group.create_group("peak"), table, table.peak)
+        _write_peak(group.create_group("peak"), table, table.peak, content is not None)
     if content is not None:
         write_content(group.create_group("compressed"), content)
     if table.parts:
@@ -166,7 +166,7 @@ def _write(group: h5py.Group, table: Table, compressed: Compressed | None, path:
             _write(parts.create_group(name), part, compressed, f"{path}/{name}".lstrip("/"))
 
 
-def _write_peak(group: h5py.Group, table: Table, peak: Peak) -> None:
+def _write_peak(group: h5py.Group, table: Table, peak: Peak, compressed: bool) -> None:
     middles = {
         name: 0.5 * (e[1:] + e[:-1]) for name, e in (("slope", peak.slope_edges), ("psi", peak.psi_edges))
     }
@@ -180,15 +180,20 @@ def _write_peak(group: h5py.Group, table: Table, peak: Peak) -> None:
         write_scale(group, name, scales[name], unit)
     write_scale(group, "channel", np.array(table.channels, h5py.string_dtype()), "")
     for name in ("values", "std_error"):
-        if (data := getattr(peak, name)) is not None:
+        if (data := getattr(peak, name)) is not None and not (name == "values" and compressed):
             write_data(group, name, data, _PEAK_AXES, "1")
 
 
-def _read_peak(group: h5py.Group, path: Path, where: str) -> Peak:
+def _read_peak(group: h5py.Group, path: Path, where: str, content: Mapping[str, Any] | None) -> Peak:
+    """Read it; the `content` of a compressed table holds its values where the group does not."""
     fields = {}
-    for name in ("values", "slope_edges", "psi_edges", "std_error"):
+    for name in ("slope_edges", "psi_edges", "values", "std_error"):
         if name in group:
             fields[name] = read_array(group[name], where + name, path, "fiu")
+        elif name == "values" and content is not None:
+            from gonio.table.compress import decode_peak  # which writes through this module
+
+            fields[name] = decode_peak(content, slope_areas(fields["slope_edges"], fields["psi_edges"]))
         elif name != "std_error":
             raise InputError(
                 f"{path}: dataset {where}{name} is missing; the file is incomplete, trace it again"
@@ -236,6 +241,7 @@ def _read(group: h5py.Group, path: Path, where: str = "") -> Table:
                 f"{path}: dataset {where}{name} is missing; the file is incomplete, trace it again"
             )
         fields[name] = read_array(group[name], where + name, path, kinds.get(name, "fiu"))
+    content: dict[str, Any] | None = None
     fields["channels"] = read_channels(group, path, where)
     for name in ("ledger", "provenance"):
         fields[name] = read_json(group, name, path, where)
@@ -255,7 +261,7 @@ def _read(group: h5py.Group, path: Path, where: str = "") -> Table:
         fields["wavelengths_nm"] = tuple(np.ravel(wavelengths).tolist())
     if "peak" in group:
         with at(where):
-            fields["peak"] = _read_peak(child(group, "peak", path, where), path, f"{where}peak/")
+            fields["peak"] = _read_peak(child(group, "peak", path, where), path, f"{where}peak/", content)
     if "parts" in group:
         fields["parts"] = _read_parts(child(group, "parts", path, where), path, f"{where}parts/")
     with at(where):

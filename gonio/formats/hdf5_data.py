@@ -12,10 +12,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.formats.hdf5_content import chunk_checksum
 from microgeometry.errors import InputError
 
 # Deflate cannot shrink more than this; a dataset that claims more is damaged or hostile.
 _MAX_RATIO = 1100
+_LAST_OWN_FILTER = 255  # codes from 256 on are registered by others
 
 
 def write_scale(group: h5py.Group, name: str, data: NDArray, unit: str) -> None:
@@ -71,12 +73,20 @@ def read_array(dataset: Any, name: str, path: Path, kinds: str, room: int = 0) -
             f"{path.stat().st_size} bytes can hold; copy or trace the file again"
         )
     try:
+        if _foreign(dataset) and dataset.attrs.get("crc32") != chunk_checksum(dataset):
+            raise OSError("its checksum is another")
         return dataset[()]
     except OSError as error:
         reason = " ".join(str(error).split())
         raise InputError(
             f"{path}: dataset {name} is damaged or truncated ({reason}); copy or trace the file again"
         ) from error
+
+
+def _foreign(dataset: h5py.Dataset) -> bool:
+    """Whether filters other than HDF5's own, whose decoders trust every byte, packed it."""
+    properties = dataset.id.get_create_plist()
+    return any(properties.get_filter(n)[0] > _LAST_OWN_FILTER for n in range(properties.get_nfilters()))
 
 
 def read_channels(group: h5py.Group, path: Path, where: str) -> tuple[str, ...]:

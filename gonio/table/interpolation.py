@@ -23,10 +23,12 @@ table of cells stays reciprocal between them.
    cumulative sum at the nodes being the blend (1 - t) M_k + t M_(k+1) of those of the two rings that enclose
    u. A fair coin gives the azimuth its sign: half the density for each, and du dphi = 2 cos d omega turns
    f/A into f cos/A. (The scheme is that of Mitsuba's Marginal2D, Dupuy & Jakob 2018, section 4.)
-4. Where the table has a peak (`gonio.table.peak`), its function of half-vector slopes, interpolated alike with
-   u = (slope/extent)^2 and psi, is added: f = g / (4 cos(theta_o) (wi.h) h_z^3). Near grazing incidence this
-   function may reach directions below the horizon, where the surface sends nothing; that light is reflected at
-   the plane, so no energy is lost. A sample is of table or peak with the probability of their shares.
+4. Where the table has a peak (`gonio.table.peak`), a function q of half-vector slopes, interpolated alike with
+   u = (slope/extent)^2 and psi, is added: f = q / (4 w), w = `gonio.core.masking.masked_cosines`, which smooths
+   what the horizon cuts off (`gonio.table.highlight`). It is drawn by another, bilinear too, of the energy
+   g = 4 f cos(theta_o) (wi.h) h_z^3 in each cell; where this reaches below the horizon it is reflected at the
+   plane. The weight is Abar then but for what g interpolated differs from that of q, in the cells that the horizon
+   cuts. A sample is of table or peak with the probability of their shares.
 5. On a segment of width h with end values p, q, the point below which lies the mass h s solves
    p t + (q - p) t^2/2 = s: t = 2 s / (p + sqrt(p^2 + 2 (q - p) s)), without cancellation.
 """
@@ -36,6 +38,7 @@ from __future__ import annotations
 import math
 
 from gonio.core.jit import kernel
+from gonio.core.masking import masked_cosines
 from gonio.table.inverse import draw, draw_between
 from gonio.table.pool import (
     AXES,
@@ -134,10 +137,10 @@ def eval_table(pool, t, wi, wo, out):
 @kernel(allocates=False)
 def _add_peak(pool, peak, wi, wo, v, out):
     """Add a peak's values to `out`, shape (C,)."""
-    for side in (1.0, -1.0):
-        u, psi, density = _slopes(pool, peak, wi, wo, side)
-        if density > 0.0:
-            _values(pool, peak, v, u, psi, density, out)
+    u, psi, density = _slopes(pool, peak, wi, wo, 1.0)
+    if density > 0.0:
+        scale = 0.25 / masked_cosines(pool.alpha[peak], wi[2], wo[2])
+        _values(pool, peak, v, u, psi, scale, out)
 
 
 @kernel(allocates=False)

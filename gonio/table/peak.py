@@ -12,13 +12,17 @@ What is tabulated is the reflected energy per unit of slope area, g. As d omega_
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.core.masking import masked_cosines_many
 from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
+
+_ROW_POINTS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,20 +90,98 @@ class Peak:
         """Area of each cell, of both signs of psi, in slopes; shape (S, Q)."""
         return slope_areas(self.slope_edges, self.psi_edges)
 
-    def rings_within(self, slope: float) -> int:
-        """How many rings can be interpolated to the centre of the next one without reaching this slope."""
-        middle = np.sqrt(0.5 * (self.slope_edges[1:] ** 2 + self.slope_edges[:-1] ** 2))
-        reach = np.append(middle[1:], self.extent)
-        return int(np.searchsorted(reach, slope))
+    @property
+    def alpha(self) -> float:
+        """Roughness that the grid was made for: its first ring ends at half of it (`gonio.trace.peak_grid`)."""
+        return 2.0 * float(self.slope_edges[1])
 
-    def projected_solid_angles(self, theta_i: float) -> Array:
-        """Projected solid angle that each cell reflects light from `theta_i` into, sr, shape (S, Q)."""
-        middle = np.sqrt(0.5 * (self.slope_edges[1:] ** 2 + self.slope_edges[:-1] ** 2))
-        psi = 0.5 * (self.psi_edges[1:] + self.psi_edges[:-1])
-        cos_h = 1.0 / np.sqrt(1.0 + middle**2)[:, None]
-        cos_d = cos_h * (np.cos(theta_i) + np.sin(theta_i) * middle[:, None] * np.cos(psi))
-        cos_o = 2.0 * cos_d * cos_h - np.cos(theta_i)
-        return self.areas * 4.0 * np.maximum(cos_o, 0.0) * np.maximum(cos_d, 0.0) * cos_h**3
+    def visible(self, theta_i: tuple[float, float]) -> Visible:
+        """What the plane lets out of each cell, for light from between two angles, in proportion to sin^2."""
+        sums = np.zeros((3, *self.areas.shape))
+        for angle, share in row_angles(theta_i):
+            points = visible_points(angle, self.slope_edges, self.psi_edges)
+            each = points.weight * points.measure
+            masked = each / points.masked_cosines(self.alpha)
+            for total, integrand in zip(sums, (points.weight, 4.0 * each, masked), strict=True):
+                total += share * integrand.sum(axis=(1, 3))
+        return Visible(*sums)
+
+
+class Visible(NamedTuple):
+    """Integrals over the part of each of a peak's cells that reflects above the plane; shape (S, Q)."""
+
+    area: Array
+    """Of it, in slopes."""
+    projected_solid_angles: Array
+    """That it reflects into, sr."""
+    light: Array
+    """Energy that it reflects where f is 1 / (4 w), w = `gonio.core.masking.masked_cosines`."""
+
+
+class Points(NamedTuple):
+    """A quadrature over the visible part of each cell, n points along the slope and m along psi."""
+
+    slope: Array
+    """(S, n, Q, m)"""
+    psi: Array
+    """(Q, m)"""
+    weight: Array
+    """(S, n, Q, m): slope area, of both signs of psi."""
+    cos_d: Array
+    """wi.h, of the slope's shape like the next two."""
+    cos_o: Array
+    cos_h: Array
+    cos_i: float
+
+    @property
+    def measure(self) -> Array:
+        """The energy g where f is 1/4."""
+        return self.cos_o * self.cos_d * self.cos_h**3
+
+    def masked_cosines(self, alpha: float) -> Array:
+        """`gonio.core.masking.masked_cosines`, above 0."""
+        out = np.empty(self.cos_o.size)
+        masked_cosines_many(alpha, self.cos_i, self.cos_o.ravel(), out)
+        return np.maximum(out, np.finfo(float).tiny).reshape(self.cos_o.shape)
+
+
+def row_angles(theta_i: tuple[float, float]) -> list[tuple[float, float]]:
+    """Angles of incidence between two, and what share of the row each is; one where both are the same."""
+    low, high = np.sin(theta_i) ** 2
+    if low == high:
+        return [(theta_i[0], 1.0)]
+    x, weights = np.polynomial.legendre.leggauss(_ROW_POINTS)
+    angles = np.arcsin(np.sqrt(low + (high - low) * (0.5 + 0.5 * x)))
+    return list(zip(angles.tolist(), (0.5 * weights).tolist(), strict=True))
+
+
+def visible_points(
+    theta_i: float, slope_edges: Array, psi_edges: Array, along: int = 4, around: int = 8
+) -> Points:
+    """Points in cells that are cut off where light from `theta_i` would be reflected below the plane.
+
+    cos(theta_o) is 0 on s^2 - 2 s tan(theta_i) cos(psi) = 1.
+    """
+    psi, around_weight = gauss(psi_edges, around)
+    lean = np.tan(theta_i) * np.cos(psi)
+    root = np.sqrt(lean**2 + 1.0)
+    horizon = np.where(lean > 0, lean + root, 1.0 / (root - lean))
+    square = np.minimum(slope_edges[:, None, None], horizon) ** 2
+    x, weight = np.polynomial.legendre.leggauss(along)
+    low, width = square[:-1, None], np.diff(square, axis=0)[:, None]
+    slope = np.sqrt(low + width * (0.5 + 0.5 * x)[:, None, None])
+    weights = width * (0.5 * weight)[:, None, None] * around_weight
+    cos_h = 1.0 / np.sqrt(1.0 + slope**2)
+    cos_d = cos_h * (np.cos(theta_i) + np.sin(theta_i) * slope * np.cos(psi))
+    cos_o = np.maximum(2.0 * cos_d * cos_h - np.cos(theta_i), 0.0)
+    return Points(slope, psi, weights, cos_d, cos_o, cos_h, float(np.cos(theta_i)))
+
+
+def gauss(edges: Array, points: int) -> tuple[Array, Array]:
+    """Gauss-Legendre points on each interval, shape (n, points), and their weights, of the intervals' lengths."""
+    x, w = np.polynomial.legendre.leggauss(points)
+    width = np.diff(edges)[:, None]
+    return edges[:-1, None] + width * (0.5 + 0.5 * x), 0.5 * width * w
 
 
 def slope_areas(slope_edges: Array, psi_edges: Array) -> Array:

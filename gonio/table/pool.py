@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.table.peak import reached
+from gonio.table.highlight import Highlight, bends_between, shape_energy, split
 
 if TYPE_CHECKING:
     from gonio.table.table import Table
@@ -21,15 +21,17 @@ N_BUCKETS = 512
 """Uniform buckets per axis: from a coordinate to the few nodes that can enclose it, in one load."""
 
 # Columns of Pool.header
-N_ROWS, N_U, N_PHI, N_CHANNELS, PEAK, VALUES, MEAN, AXES, BUCKETS, ROWS, MARGINAL, N_HEADER = range(12)
+(
+    N_ROWS, N_U, N_PHI, N_CHANNELS, PEAK, VALUES, MEAN, AXES, BUCKETS, ROWS, MARGINAL, BENDS, N_HEADER,
+) = range(13)  # fmt: skip
 
 
 class Pool(NamedTuple):
     """Tables as flat arrays; which part belongs to which table stands in `header`.
 
-    A table's peak (`gonio.table.peak`) is laid out as a table of its own behind all others: g times the square
-    of its extent over u = (slope/extent)^2 and psi, which integrates over du dpsi to the energy as f does over
-    du dphi.
+    A table's peak (`gonio.table.highlight`) is laid out as a table of its own behind all others, over
+    u = (slope/extent)^2 and psi: `values` are of q, and `mean` of g times the square of the extent, which integrates
+    over du dpsi to the energy as f does over du dphi.
 
     Parameters
     ----------
@@ -49,8 +51,13 @@ class Pool(NamedTuple):
         delta term, and the delta term.
     marginal : ndarray of float64
         (row, u, 2): fbar integrated over phi, and the cumulative integral of that over u.
+    bends : ndarray of float64
+        Of a peak, (row, 2, C): between this row and the next its albedo is a straight line and
+        w (1 - w) (p + q w), at the fraction w in sin^2 theta_i; p and q.
     extent : ndarray of float64, shape (tables and peaks,)
         Of a peak, its largest slope.
+    alpha : ndarray of float64, shape (tables and peaks,)
+        Of a peak, the roughness its grid was made for.
     """
 
     header: NDArray[np.int64]
@@ -60,7 +67,9 @@ class Pool(NamedTuple):
     buckets: NDArray[np.int32]
     rows: NDArray[np.float64]
     marginal: NDArray[np.float64]
+    bends: NDArray[np.float64]
     extent: NDArray[np.float64]
+    alpha: NDArray[np.float64]
 
 
 def pool_tables(tables: Sequence[Table]) -> Pool:
@@ -76,26 +85,27 @@ def pool_tables(tables: Sequence[Table]) -> Pool:
     Pool
         About 4 bytes x (channels + 2) per cell.
     """
-    split = [_split(table) for table in tables]
+    pairs = [_functions(table) for table in tables]
     peaks = [(t, table.peak) for t, table in enumerate(tables) if table.peak is not None]
-    functions = [own for own, _ in split] + [above for _, above in split if above is not None]
+    functions = [own for own, _ in pairs] + [above for _, above in pairs if above is not None]
     parts = [_layout(function) for function in functions]
     header = np.zeros((len(parts), N_HEADER), np.int64)
     header[:, PEAK] = -1
     for line, (t, _) in enumerate(peaks, len(tables)):
         header[t, PEAK] = line
     extent = np.array([1.0] * len(tables) + [peak.extent for _, peak in peaks])
+    alpha = np.array([1.0] * len(tables) + [peak.alpha for _, peak in peaks])
     for t, (sizes, _) in enumerate(parts):
         header[t, :PEAK] = sizes
         if t > 0:
             header[t, VALUES:] = header[t - 1, VALUES:] + [a.size for a in parts[t - 1][1]]
-    dtypes = (np.float32, np.float32, np.float64, np.int32, np.float64, np.float64)
+    dtypes = (np.float32, np.float32, np.float64, np.int32, np.float64, np.float64, np.float64)
     flat = [
         np.concatenate([arrays[n].ravel() for _, arrays in parts] or [np.zeros(0, dtype)])
         for n, dtype in enumerate(dtypes)
     ]
-    values, mean, axes, buckets, rows, marginal = flat
-    return Pool(header, values, mean, axes, buckets, rows, marginal, extent)
+    values, mean, axes, buckets, rows, marginal, bends = flat
+    return Pool(header, values, mean, axes, buckets, rows, marginal, bends, extent, alpha)
 
 
 class _Function(NamedTuple):
@@ -112,50 +122,31 @@ class _Function(NamedTuple):
     """(I, C) what each row is to integrate to."""
     specular: NDArray[np.float64]
     """(I, C)"""
-    peaked: bool = False
-    """Highest at the pole, where its slope over u does not end."""
+    highlight: Highlight | None = None
+    """Whose g the values are."""
 
 
-def _split(table: Table) -> tuple[_Function, _Function | None]:
-    """A table's light on its own grid, and on that of its peak.
-
-    The peak is what stands above the level of f at the rim of its disc of slopes; the table's own cells in that
-    disc are cut down to this level, so that their sum is continuous at the rim. Where the disc ends is then as
-    good as anywhere in the smooth light, and the energy of what was cut is the peak's, which is known by itself.
-    In rows near the horizon the disc ends before it: f = g/cos(theta_o) knows no finite value there.
-    """
+def _functions(table: Table) -> tuple[_Function, _Function | None]:
+    """A table's light on its own grid, and on that of its peak."""
     u_edges = np.sin(table.theta_r_edges) ** 2
     energy = table.row_albedo - table.specular
     peak = table.peak
     if peak is None:
         own = _Function(table, table.values, u_edges, table.delta_phi_edges, energy, table.specular)
         return own, None
-    values, above = table.values.copy(), np.zeros_like(peak.values)
-    edges = table.theta_i_edges
-    low, high = (table.theta_i, table.theta_i) if edges is None else (edges[:-1], edges[1:])
-    # up to its middle, the next row has a share in what this one sends
-    horizon = np.tan(0.25 * np.pi - 0.5 * np.append(table.theta_i[1:], high[-1]))
-    for row, theta_i in enumerate(table.theta_i):
-        rings = peak.rings_within(horizon[row])
-        if rings == 0:
-            continue
-        areas = peak.projected_solid_angles(theta_i)
-        light = peak.values[row] * peak.areas[..., None]
-        rim = np.maximum(light[rings - 1].sum(axis=0), 0.0) / areas[rings - 1].sum()
-        above[row, :rings] = np.maximum(peak.values[row] - rim * (areas / peak.areas)[..., None], 0.0)[:rings]
-        inside = reached(
-            (low[row], high[row]), table.theta_r_edges, table.delta_phi_edges, float(peak.slope_edges[rings])
-        )
-        values[row, inside] = np.minimum(values[row, inside], rim)
-    taken = np.minimum(np.einsum("isqc,sq->ic", above, peak.areas), energy)
+    values, highlight = split(table, peak)
+    taken = highlight.energy
     own = _Function(table, values, u_edges, table.delta_phi_edges, energy - taken, table.specular)
     u_edges = (peak.slope_edges / peak.extent) ** 2
-    return own, _Function(table, above, u_edges, peak.psi_edges, taken, np.zeros_like(taken), True)
+    nothing = np.zeros_like(taken)
+    return own, _Function(table, highlight.drawn, u_edges, peak.psi_edges, taken, nothing, highlight)
 
 
 def _layout(function: _Function) -> tuple[tuple[int, int, int, int], list[NDArray]]:
     """Sizes and arrays of one function, in the order of the Pool's fields."""
-    table, u_edges, phi_edges = function.table, function.u_edges, function.phi_edges
+    table, u_edges, phi_edges, highlight = (
+        function.table, function.u_edges, function.phi_edges, function.highlight,
+    )  # fmt: skip
     u = np.concatenate([[0.0], 0.5 * (u_edges[1:] + u_edges[:-1]), [1.0]])
     phi = np.concatenate([[0.0], 0.5 * (phi_edges[1:] + phi_edges[:-1]), [np.pi]])
     u_i, sources, average = _row_nodes(table)
@@ -165,20 +156,25 @@ def _layout(function: _Function) -> tuple[tuple[int, int, int, int], list[NDArra
     mean = np.empty((n_rows, len(u), len(phi), 2), np.float32)
     rows = np.empty((n_rows, 1 + 3 * n_channels))
     marginal = np.empty((n_rows, len(u), 2))
+    bends = np.zeros((0 if highlight is None else n_rows, 2, n_channels))
     for row, source in enumerate(sources):
-        nodes = extend_row(function.values[source], weight_phi)
-        if function.peaked:
-            # a straight line on to the pole: half a cell more of a Gaussian's slope
-            line = (1.0 + u[1] / (u[2] - u[1])) * nodes[1] - u[1] / (u[2] - u[1]) * nodes[2]
-            nodes[0] = np.maximum(weight_phi @ line, 0.0) / np.pi
-        if average[row]:
-            nodes[:] = (np.einsum("p,upc->uc", weight_phi, nodes) / np.pi)[:, None]
+        drawn = nodes = _nodes(function, function.values[source], average[row], u, weight_phi)
+        if highlight is not None:
+            nodes = _nodes(function, highlight.shape[source], average[row], u, weight_phi)
         # float32 halves the memory traffic; what rounding takes from the integral, the factor gives back
         values[row] = nodes / np.maximum(nodes.max(axis=(0, 1)), np.finfo(float).tiny)
-        integral = np.einsum("u,p,upc->c", weight_u, weight_phi, values[row].astype(float))
+        rounded = values[row].astype(float)
+        if highlight is None:
+            integral = np.einsum("u,p,upc->c", weight_u, weight_phi, rounded)
+        else:
+            integral = shape_energy(rounded, u, phi, float(np.arcsin(np.sqrt(u_i[row]))), highlight.peak)
         target = np.maximum(function.energy[source], 0.0)
         factor = np.divide(target, integral, out=np.zeros(n_channels), where=integral > 0)
-        mean[row, :, :, 0] = values[row] @ (factor / n_channels)
+        if highlight is None:
+            mean[row, :, :, 0] = values[row] @ (factor / n_channels)
+        else:
+            energy = np.einsum("u,p,upc->", weight_u, weight_phi, drawn)
+            mean[row, :, :, 0] = drawn.sum(axis=2) * (target.mean() / energy if energy > 0 else 0.0)
         fbar = mean[row, :, :, 0].astype(float)
         mean[row, :, :, 1] = cumulative(fbar, phi)
         # from the rounded cumulative sums, so that marginal and conditional agree to the last bit
@@ -186,9 +182,26 @@ def _layout(function: _Function) -> tuple[tuple[int, int, int, int], list[NDArra
         marginal[row, :, 1] = cumulative(marginal[row, :, 0], u)
         rows[row, 0] = marginal[row, -1, 1]
         rows[row, 1:] = np.concatenate([factor, factor * integral, function.specular[source]])
+    if highlight is not None:
+        scaled = values.astype(float) * rows[:, None, None, 1 : 1 + n_channels]
+        bends[:-1] = bends_between(scaled, u, phi, u_i, highlight.peak)
     buckets = np.concatenate([_buckets(u_i, 1.0), _buckets(u, 1.0), _buckets(phi, np.pi)])
     sizes = (n_rows, len(u), len(phi), n_channels)
-    return sizes, [values, mean, np.concatenate([u_i, u, phi]), buckets, rows, marginal]
+    return sizes, [values, mean, np.concatenate([u_i, u, phi]), buckets, rows, marginal, bends]
+
+
+def _nodes(
+    function: _Function, cells: NDArray, average: bool, u: NDArray, weight_phi: NDArray
+) -> NDArray[np.float64]:
+    """Node values of one row from its cells, as `extend_row`; averaged over the azimuth where that has no meaning."""
+    nodes = extend_row(cells, weight_phi)
+    if function.highlight is not None:
+        # a straight line on to the pole: half a cell more of a Gaussian's slope
+        line = (1.0 + u[1] / (u[2] - u[1])) * nodes[1] - u[1] / (u[2] - u[1]) * nodes[2]
+        nodes[0] = np.maximum(weight_phi @ line, 0.0) / np.pi
+    if average:
+        nodes[:] = (np.einsum("p,upc->uc", weight_phi, nodes) / np.pi)[:, None]
+    return nodes
 
 
 def _row_nodes(table: Table) -> tuple[NDArray, list[int], list[bool]]:

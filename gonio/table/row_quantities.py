@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from gonio.core.jit import kernel
 from gonio.table.interpolation import locate_row
-from gonio.table.pool import N_CHANNELS, PEAK, ROWS
+from gonio.table.pool import BENDS, N_CHANNELS, PEAK, ROWS
+
+_ALBEDO, _SPECULAR = 1, 2  # columns of `Pool.rows`
 
 
 @kernel(allocates=False)
@@ -23,6 +25,9 @@ def _row_quantity(pool, t, cos_i, column, out):
             at_a = pool.rows[first + a * (1 + 3 * n) + c]
             at_b = pool.rows[first + b * (1 + 3 * n) + c]
             out[c] += (1.0 - w) * at_a + w * at_b
+            if column == _ALBEDO:
+                bend = pool.header[peak, BENDS] + 2 * a * n + c
+                out[c] += w * (1.0 - w) * (pool.bends[bend] + w * pool.bends[bend + n])
 
 
 @kernel(allocates=False)
@@ -39,10 +44,10 @@ def albedo_table(pool, t, cos_i, out):
     out : ndarray, shape (C,)
         Receives the reflectance per channel.
     """
-    _row_quantity(pool, t, cos_i, 1, out)
+    _row_quantity(pool, t, cos_i, _ALBEDO, out)
 
 
 @kernel(allocates=False)
 def specular_table(pool, t, cos_i, out):
     """Reflectance into exactly the mirror direction (the delta term); arguments as `albedo_table`."""
-    _row_quantity(pool, t, cos_i, 2, out)
+    _row_quantity(pool, t, cos_i, _SPECULAR, out)

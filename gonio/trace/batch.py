@@ -125,7 +125,7 @@ class BatchTracer:
             edges = self.anisotropic.x_edges, self.anisotropic.y_edges
             # cells are no boxes in angle: energies are counted, in units of 1 sr
             self.areas = self.bin_areas = np.ones((self.anisotropic.cells, self.anisotropic.cells))
-        elif job.estimator == ANALOG:
+        elif job.estimator != NEXT_EVENT:
             self.peak = peak_grid(job.specimen, self.tracer)
         slope_edges, psi_edges = self.peak or (np.array([0.0, 1.0]), np.array([0.0, np.pi]))
         self._bins = Bins(

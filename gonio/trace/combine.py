@@ -32,21 +32,26 @@ class Combined:
         1/sr.
     counted : SheetTally
         The same light as counted, in any cells.
+    peak : tuple of ndarray, shape (rows, S, Q, channels), optional
+        Values and errors of the cells of a `gonio.table.peak.Peak`, which follow the others.
     """
 
     hits = None
 
-    def __init__(self, values: Array, std_error: Array, counted: SheetTally) -> None:
-        self._values, self._std_error = values, std_error
+    def __init__(
+        self, values: Array, std_error: Array, counted: SheetTally, peak: tuple[Array, Array] | None = None
+    ) -> None:
+        self._cells, self._peak = (values, std_error), peak
         self._counted = counted
 
     def cells(self, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
-        """As `SheetTally.cells`, of the table's cells only."""
-        return self._values, self._std_error
+        """As `SheetTally.cells`, of the table's cells or, from the first of these on, the peak's."""
+        return self._cells if first == 0 or self._peak is None else self._peak
 
     def row_cells(self, row: int, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
-        """As `SheetTally.row_cells`, of the table's cells only."""
-        return self._values[row], self._std_error[row]
+        """As `SheetTally.row_cells`, of these cells."""
+        values, std_error = self.cells(projected_solid_angles, first)
+        return values[row], std_error[row]
 
     def energies(self) -> tuple[Array, Array, Array, Array]:
         """As `SheetTally.energies`."""
@@ -77,20 +82,34 @@ def combine(
     values, std_error = half_vector.cells(
         batches.theta_i, batches.theta_i_edges, batches.theta_edges, batches.phi_edges, threads
     )
-    estimates = [(values.reshape(shape), std_error.reshape(shape))]
+    values, std_error = values.reshape(shape), std_error.reshape(shape)
+    estimates = [(values, std_error)]
     counted = tally.orders[0]
+    peaks: list[tuple[Array, Array] | None] = [None] * len(counted)
+    total_peak = None
+    if batches.peak is not None:
+        grid = batches.peak
+        single = half_vector.slopes(batches.theta_i, batches.theta_i_edges, grid, threads)
+        _scale(*single, counted[0], batches.areas, values)
+        found = [single, *(sheet.cells(grid.areas, batches.bin_areas.size) for sheet in counted[1:])]
+        peaks = list(found)
+        means, errors = zip(*found, strict=True)
+        total_peak = np.sum(means, axis=0), np.sqrt(np.sum(np.square(errors), axis=0))
     _anchor(*estimates[0], counted[0], batches)
     estimates += [_spread(sheet, batches) for sheet in counted[1:]]
     for (values, std_error), sheet in zip(estimates, counted, strict=True):
-        _scale(values, std_error, sheet, batches.areas)
-    orders = [Combined(*estimate, sheet) for estimate, sheet in zip(estimates, counted, strict=True)]
+        _scale(values, std_error, sheet, batches.areas, values)
+    orders = [
+        Combined(*estimate, sheet, peak)
+        for estimate, sheet, peak in zip(estimates, counted, peaks, strict=True)
+    ]
     # a table of half a degree is large: nothing is copied that nobody asked for
     asked = batches.job.specimen.grid.orders > 1
     total, error = (a.copy() for a in estimates[0]) if asked else estimates[0]
     for values, std_error in estimates[1:]:
         total += values
         np.hypot(error, std_error, out=error)
-    return Combined(total, error, tally.totals[0]), list(orders) if asked else []
+    return Combined(total, error, tally.totals[0], total_peak), list(orders) if asked else []
 
 
 def _anchor(values: Array, std_error: Array, counted: SheetTally, batches: BatchTracer) -> None:
@@ -113,7 +132,9 @@ def _anchor(values: Array, std_error: Array, counted: SheetTally, batches: Batch
     own = np.where(estimated > 0, total(std_error) / known, 0.0) ** 2  # as if cells of a block erred alike
     found, found_error = (a * batches.bin_areas[..., None] for a in counted.cells(batches.bin_areas))
     energy = counted.energies()[0]
-    paths = counted.hits.sum(axis=1)[:, None] / np.where(energy > 0, energy, np.inf)  # for a unit of energy
+    paths = counted.hits[:, : batches.bin_areas.size].sum(axis=1)[:, None] / np.where(
+        energy > 0, energy, np.inf
+    )  # for a unit of energy
     poisson = 1.0 / np.maximum(estimated * paths[:, None, None, :], 1e-300)
     weight = np.where((estimated > 0) & (own > 0), own / (own + poisson), 0.0)
     factor = 1.0 + weight * (found / known - 1.0)
@@ -125,9 +146,9 @@ def _anchor(values: Array, std_error: Array, counted: SheetTally, batches: Batch
             a[row] *= np.repeat(np.repeat(by[row], blocks[2], axis=0), blocks[4], axis=1)
 
 
-def _scale(values: Array, std_error: Array, counted: SheetTally, areas: Array) -> None:
-    """Multiply both so that they hold the energies counted."""
-    energy = np.einsum("irpc,rp->ic", values, areas)
+def _scale(values: Array, std_error: Array, counted: SheetTally, areas: Array, cells: Array) -> None:
+    """Multiply both by what makes the table's `cells` hold the energies counted."""
+    energy = np.einsum("irpc,rp->ic", cells, areas)
     factor = np.where(energy > 0, counted.energies()[0] / np.where(energy > 0, energy, 1.0), 1.0)
     values *= factor[:, None, None, :]
     std_error *= factor[:, None, None, :]

@@ -37,7 +37,7 @@ _MOST_PEAKED = 4.0
 varies as much. Merit over analog's of half-spaces: 5 where they scatter evenly, 3.7 and 2.2 by Henyey and Greenstein's
 law with g = 0.3 and 0.5 (peaks of 2.7 and 6), 0.35 with g = 0.8 (45)."""
 
-_SURFACES = Gaussian, Exponential, SelfAffine
+RANDOM_SURFACES = Gaussian, Exponential, SelfAffine
 
 
 def choose(specimen: Specimen, seed: int, name: str | None = None) -> str:
@@ -77,8 +77,9 @@ def _against_half_vector(specimen: Specimen, seed: int) -> str | None:
     layer = specimen.layers[0]
     if len(specimen.layers) > 1 or not isinstance(layer.material, Mirror | Conductor):
         return "it knows one surface of mirror or conductor facets only"
-    if not isinstance(layer.surface, _SURFACES):
-        return f"it needs a random surface ({', '.join(kind.kind for kind in _SURFACES)}), with slopes of all sizes"
+    if not isinstance(layer.surface, RANDOM_SURFACES):
+        kinds = ", ".join(kind.kind for kind in RANDOM_SURFACES)
+        return f"it needs a random surface ({kinds}), with slopes of all sizes"
     alpha = roughness(Tracer(specimen, seed, 1))
     if not alpha >= LEAST_ALPHA:
         return f"the surface's alpha is {alpha:.3g}, and it needs {LEAST_ALPHA:g}"

@@ -24,8 +24,18 @@ from numpy.typing import NDArray
 from gonio.core.lookup import axis
 from gonio.core.optics import fresnel_conductor
 from gonio.core.parallel import for_each
+from gonio.table.peak import row_angles, visible_points
 from gonio.trace.facets import BINS, PACKED, STEP, FacetSums, nodes
-from gonio.trace.half_vector_cells import Model, Rule, azimuth_rule, point_rule, polar_rule, row_cells
+from gonio.trace.half_vector_cells import (
+    Model,
+    Rule,
+    azimuth_rule,
+    point_rule,
+    polar_rule,
+    row_cells,
+    row_slopes,
+)
+from gonio.trace.peak_grid import PeakGrid
 from gonio.trace.scene import Optics
 
 Array = NDArray[np.float64]
@@ -35,6 +45,7 @@ _FRESNEL = 1024
 _RESOLUTION = 0.2  # of alpha: what a point of the quadrature stands for at most, and at least 1 degree
 _FINE_SPREAD = 1.2  # of theta_h over a cell, of the resolution times its points along theta
 _LEVELS = 10
+_SLOPES = 0.05  # of alpha: what a point of the quadrature over a peak's cells stands for
 
 
 class HalfVector:
@@ -162,6 +173,33 @@ class HalfVector:
 
         for_each(average, rows, threads)
         return values, std_error
+
+    def slopes(
+        self, theta_i: Array, theta_i_edges: Array | None, grid: PeakGrid, threads: int | None = None
+    ) -> tuple[Array, Array]:
+        """Averages of the energy g of single bounces over the cells of a peak; arguments as in `cells`.
+
+        Returns
+        -------
+        values, std_error : ndarray, shape (I, S, Q, C)
+            As `gonio.table.peak.Peak`.
+        """
+        alpha = self._nodes.alpha
+        model = self._model(2 * round(0.5 * _SLOPES * alpha / STEP) + 1)
+        areas = grid.areas
+        values, std_error = np.zeros((2, len(theta_i), areas.size, self._fresnel.shape[1]))
+
+        def average(row: int) -> None:
+            between = (theta_i[row],) * 2 if theta_i_edges is None else tuple(theta_i_edges[row : row + 2])
+            for angle, share in row_angles(between):
+                at = visible_points(angle, *grid)
+                weight = at.weight * at.measure / at.masked_cosines(alpha)
+                points = np.arctan(at.slope), at.cos_d, at.cos_o, at.cos_h, weight, at.cos_i
+                row_slopes(model, points, share, values[row], std_error[row])
+
+        for_each(average, len(theta_i), threads)
+        shape = len(theta_i), *areas.shape, -1
+        return values.reshape(shape) / areas[..., None], std_error.reshape(shape) / areas[..., None]
 
     def _model(self, width: int) -> Model:
         """Means over all batches, D over so many bins of tilt, and how much they differ between groups of batches."""

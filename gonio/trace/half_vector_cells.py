@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gonio.core.jit import kernel
 from gonio.core.lookup import Axis, find
-from gonio.trace.visibility import projected_area
+from gonio.core.masking import projected_area
 
 Array = NDArray[np.float64]
 
@@ -111,21 +111,13 @@ def row_cells(model, row, fast, fine, spread, values, std_error):
         Set to their standard errors; where no facet of such a tilt was ever met, to an upper bound.
     """
     rings, sectors = fast[1].cosine.shape[0], fast[2].cosine.shape[0]
-    last = model.density.shape[0] - 1
     for ring in range(rings):
         for sector in range(sectors):
             cell = ring * sectors + sector
             average = _average(model, row, ring, sector, fast, values[cell], std_error[cell])
             if average[1] - average[0] > spread:
                 average = _average(model, row, ring, sector, fine, values[cell], std_error[cell])
-            low, high, tilt, a, b, p, x, y, z = average
-            k = min(int(tilt / model.step), last)
-            level = int(math.log2(model.width + (high - low) / model.step))
-            level = min(level, model.density_change.shape[0] - 1)
-            variance = _variance(model, level, k, a, b, p, x, y, z)
-            for c in range(values.shape[1]):
-                if values[cell, c] != 0.0:
-                    std_error[cell, c] = abs(values[cell, c]) * math.sqrt(variance)
+            _error(model, average, values[cell], std_error[cell])
 
 
 @kernel(allocates=False)
@@ -148,7 +140,6 @@ def _average(model, row, ring, sector, rules, value, bound):
     total = tilt_sum = 0.0
     a = b = p = 0
     x = y = z = 0.0
-    last = model.density.shape[0] - 1
     for q in range(incident.cosine.shape[1]):
         ci, si, pi = incident.cosine[row, q], incident.sine[row, q], incident.projected[row, q]
         for r in range(exitant.cosine.shape[1]):
@@ -162,21 +153,96 @@ def _average(model, row, ring, sector, rules, value, bound):
                 low, high = min(low, tilt), max(high, tilt)
                 a, b, p, x, y, z = _locate(model, tilt, cos_h, theta_d, cos_d, abs(ci - co))
                 weight = shape * azimuth.weight[sector, s] * _interpolate(model.rho, a, b, p, x, y, z)
-                position = max(0.0, tilt / model.step - 0.5)
-                k = min(int(position), last - 1)
-                fraction = min(1.0, position - k)
-                density = model.density[k] + fraction * (model.density[k + 1] - model.density[k])
+                k, density = _density(model, tilt)
                 total += weight * density
                 tilt_sum += weight * density * tilt
-                position = theta_d * ((model.fresnel.shape[0] - 1) / (0.5 * math.pi))
-                m = min(int(position), model.fresnel.shape[0] - 2)
-                fraction = position - m
-                for c in range(value.shape[0]):
-                    f = model.fresnel[m, c] + fraction * (model.fresnel[m + 1, c] - model.fresnel[m, c])
-                    value[c] += weight * density * f
-                    bound[c] += weight * model.floor[k] * f
+                _reflect(model, theta_d, weight, density, model.floor[k], value, bound)
     tilt = tilt_sum / total if total > 0.0 else 0.5 * (low + high)
     return low, high, tilt, a, b, p, x, y, z
+
+
+@kernel
+def row_slopes(model, points, share, values, std_error):
+    """Add to the energies of one row in the cells of a peak; a fresh row is 0.
+
+    Parameters
+    ----------
+    model : Model
+    points : tuple of ndarray
+        Of `gonio.table.peak.Points` with tilts: tilt, cos_d, cos_o, cos_h, shape (S, n, Q, m), each point's energy
+        where F D rho is 1, the same shape, and cos theta_i.
+    share : float
+        Of the row that this angle of incidence is.
+    values, std_error : ndarray, shape (S * Q, C)
+        Added to: energies in the cells, and their errors, or upper bounds where no facet was ever met.
+    """
+    tilts, cos_d, cos_o, cos_h, weights, cos_i = points
+    rings, along, sectors, around = tilts.shape
+    channels = values.shape[1]
+    for ring in range(rings):
+        for sector in range(sectors):
+            cell = ring * sectors + sector
+            value, bound = np.zeros(channels), np.zeros(channels)
+            low, high = math.pi, 0.0
+            total = tilt_sum = 0.0
+            a = b = p = 0
+            x = y = z = 0.0
+            for n in range(along):
+                for m in range(around):
+                    at = ring, n, sector, m
+                    if weights[at] <= 0.0:
+                        continue
+                    tilt, theta_d = tilts[at], math.acos(min(1.0, cos_d[at]))
+                    low, high = min(low, tilt), max(high, tilt)
+                    a, b, p, x, y, z = _locate(
+                        model, tilt, cos_h[at], theta_d, cos_d[at], abs(cos_i - cos_o[at])
+                    )
+                    weight = share * weights[at] * _interpolate(model.rho, a, b, p, x, y, z)
+                    k, density = _density(model, tilt)
+                    total += weight * density
+                    tilt_sum += weight * density * tilt
+                    _reflect(model, theta_d, weight, density, model.floor[k], value, bound)
+            if high < low:
+                continue  # below the horizon
+            tilt = tilt_sum / total if total > 0.0 else 0.5 * (low + high)
+            _error(model, (low, high, tilt, a, b, p, x, y, z), value, bound)
+            for c in range(channels):
+                values[cell, c] += value[c]
+                std_error[cell, c] += bound[c]
+
+
+@kernel(allocates=False)
+def _density(model, tilt):
+    """The bin of tilt below, and D."""
+    position = max(0.0, tilt / model.step - 0.5)
+    k = min(int(position), model.density.shape[0] - 2)
+    fraction = min(1.0, position - k)
+    return k, model.density[k] + fraction * (model.density[k + 1] - model.density[k])
+
+
+@kernel(allocates=False)
+def _reflect(model, theta_d, weight, density, floor, value, bound):
+    """Add light that is reflected at theta_d to `value`, and with the density `floor` to `bound`; shape (C,)."""
+    position = theta_d * ((model.fresnel.shape[0] - 1) / (0.5 * math.pi))
+    m = min(int(position), model.fresnel.shape[0] - 2)
+    fraction = position - m
+    for c in range(value.shape[0]):
+        f = model.fresnel[m, c] + fraction * (model.fresnel[m + 1, c] - model.fresnel[m, c])
+        value[c] += weight * density * f
+        bound[c] += weight * floor * f
+
+
+@kernel(allocates=False)
+def _error(model, average, value, bound):
+    """Put the standard error of `value` into `bound`, shape (C,), where a facet was met; `average` of `_average`."""
+    low, high, tilt, a, b, p, x, y, z = average
+    k = min(int(tilt / model.step), model.density.shape[0] - 1)
+    level = int(math.log2(model.width + (high - low) / model.step))
+    level = min(level, model.density_change.shape[0] - 1)
+    variance = _variance(model, level, k, a, b, p, x, y, z)
+    for c in range(value.shape[0]):
+        if value[c] != 0.0:
+            bound[c] = abs(value[c]) * math.sqrt(variance)
 
 
 @kernel(allocates=False)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gonio.core.directions import combine, unit
 from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, ORG_X, ORG_Y, ORG_Z, T_FAR, T_NEAR, new_ray, occluded1
 from gonio.core.jit import kernel
+from gonio.core.masking import projected_area
 from gonio.core.philox import uniforms
 from gonio.trace.transport import MAX_SEGMENTS
 
@@ -46,25 +47,6 @@ class Nodes(NamedTuple):
     """(B,) one round of picks in so many looks at this opening."""
     alpha: float
     """Beckmann roughness of the visibility that looks are compared with."""
-
-
-@kernel(allocates=False)
-def projected_area(alpha, cosine, sine):
-    """Area of a Beckmann surface that faces a direction, projected on it: (1 + Lambda) cos theta.
-
-    Heitz 2014, "Understanding the masking-shadowing function in microfacet-based BRDFs", eq. 74, so written
-    that it holds up to the horizon; visible or not, per area of the plane.
-
-    Parameters
-    ----------
-    alpha : float
-    cosine, sine : float
-        Of theta, the cosine not below 0.
-    """
-    if sine == 0.0:
-        return cosine
-    a = cosine / (alpha * sine)
-    return 0.5 * cosine * (1.0 + math.erf(a)) + 0.5 * alpha * sine * math.exp(-a * a) / math.sqrt(math.pi)
 
 
 @kernel(allocates=False)

@@ -26,7 +26,7 @@ from tests.formats.test_plane_csv import write as write_plane
 from tests.formats.test_radiance_xml import QUARTER, document
 from tests.formats.test_speos import write_anisotropic, write_brdf
 from tests.formats.test_zemax import write_file
-from tests.table.tables import asymmetric, grid, make, with_parts
+from tests.table.tables import asymmetric, grid, make, share
 
 QUICK, SLOW = 300, 100_000
 _MEMORY = 16 << 20  # for a file of a few kB
@@ -47,13 +47,16 @@ def small_anisotropic():
 
 
 def small_table():
-    table = with_parts(make(asymmetric, grid(2, 2, 3)))
+    table = make(asymmetric, grid(2, 2, 3))
+    table = table.replace(
+        parts={"transmission": share(table, 0.25)}
+    )  # as many as there are cost as many times more
     values = np.random.default_rng(seed_from("fuzz peak")).random((2, 2, 3, 3))
     peak = Peak(values, np.array([0, 0.1, 0.2]), np.linspace(0, np.pi, 4), 0.1 * values)
     return table.replace(std_error=0.1 * table.values, peak=peak, provenance={"seed": 1})
 
 
-def rgl(path):
+def rgl(path, wavelengths=()):
     rng = np.random.default_rng(seed_from("fuzz rgl"))
     fields = {
         "description": np.frombuffer(b"test", np.uint8),
@@ -62,9 +65,12 @@ def rgl(path):
         "ndf": np.ones((2, 3), np.float32),
         "sigma": np.ones((2, 3), np.float32),
         "vndf": rng.random((1, 3, 3, 3)).astype(np.float32) + 0.1,
-        "rgb": rng.random((1, 3, 3, 2, 2)).astype(np.float32),
         "jacobian": np.ones(1, np.uint8),
     }
+    if wavelengths:
+        fields["wavelengths"] = np.array(wavelengths, np.float32)
+    spectra = rng.random((1, 3, len(wavelengths) or 3, 2, 2)).astype(np.float32)
+    fields["spectra" if wavelengths else "rgb"] = spectra
     write_tensors(path, fields)
 
 
@@ -88,6 +94,7 @@ SAMPLES = {
     **{f"{m}.h5": (lambda path, m=m: compress(small_table(), path, 0.1, m)) for m in METHODS},
     "plane.csv": write_plane,
     "rgl.bsdf": rgl,
+    "spectral.bsdf": lambda path: rgl(path, (450.0, 500.0, 550.0, 600.0)),
     "zemax.bsdf": lambda path: write_file(path, asymmetric, azimuths=np.arange(0, 361, 120)),
     "lighttools.bsdf": lambda path: write_lighttools(path, tuple(range(0, 361, 120))),
     "t.brdf": lambda path: write_brdf(path, asymmetric, (1, 1), wavelengths=(550.0,)),

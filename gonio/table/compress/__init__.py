@@ -10,17 +10,18 @@ and ``decode(content, fields) -> values``; it is one line in `METHODS`. Other pa
 the entry points ``gonio.compression``: modules that add their line when they are imported. The file is an
 HDF5 table that holds the content in place of its values (see `gonio.formats.hdf5`): `Table.load` opens it
 like any other. The table's parts are in the same file, each held to the bound as a table of its own.
-Albedo, delta term, axes, gaps, ledger and provenance are kept in full, the cells of a highlight's own grid
-to a quarter of the bound each. Error bars of cells and hits are dropped; what is known of the error stands in
-``provenance["compression"]``.
+Albedo, delta term, axes, gaps, ledger and provenance are kept in full; the cells of a highlight's own grid are
+held to the rows' bounds by a transform of their own (`highlight`). Error bars of cells and hits are dropped; what
+is known of the error stands in ``provenance["compression"]``.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol
@@ -32,10 +33,9 @@ from gonio.core.parallel import processors
 from gonio.files import atomic
 from gonio.formats import hdf5
 from gonio.formats.hdf5_content import stored_bytes
-from gonio.table.compress import codecs, dct, low_rank, tree
+from gonio.table.compress import codecs, dct, highlight, low_rank, tree
 from gonio.table.compress.metric import cosine_weights, excess, row_bounds, row_errors, row_noise
 from gonio.table.parts import walk
-from gonio.table.peak import Peak
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -47,6 +47,7 @@ __all__ = [
     "compress",
     "cosine_weights",
     "decode",
+    "decode_peak",
     "methods",
     "row_bounds",
     "row_errors",
@@ -98,6 +99,8 @@ class CompressionReport:
     ----------
     bytes : int
         Size of the file.
+    content : int
+        Of these, what stands for the values.
     ratio : float
         Size of all values as float32 over the size of the file.
     max_error : float
@@ -116,6 +119,7 @@ class CompressionReport:
     """
 
     bytes: int
+    content: int
     ratio: float
     max_error: float
     error_worst: float
@@ -181,6 +185,9 @@ def compress(
     content = {
         part: _content(t, bounds[part], method, FALLBACK if sizes else None) for part, t in tables.items()
     }
+    for part, t in tables.items():
+        if t.peak is not None:
+            content[part] |= highlight.encode(t.peak, bounds[part])
     facts = {
         part: {
             "method": content[part]["method"],
@@ -211,6 +218,7 @@ def compress(
     size = path.stat().st_size
     return CompressionReport(
         bytes=size,
+        content=sum(stored_bytes(each) for each in content.values()),
         ratio=4 * table.values.size * len(tables) / size,
         max_error=max_error,
         error_worst=float(every_error.max()),
@@ -253,18 +261,8 @@ def _slim(table: Table, facts: Mapping[str, Any], path: str = "") -> Table:
     """The table and its parts without error bars of cells and hits, with the facts of each by its path."""
     parts = {name: _slim(part, facts, f"{path}/{name}".lstrip("/")) for name, part in table.parts.items()}
     provenance = {**table.provenance, "compression": facts[path]}
-    peak = None
-    if table.peak is not None:
-        values = rounded(table.peak.values, 0.25 * facts[path]["max_error"])
-        peak = Peak(values, table.peak.slope_edges, table.peak.psi_edges)
+    peak = None if table.peak is None else replace(table.peak, std_error=None)
     return table.replace(std_error=None, hits=None, peak=peak, provenance=provenance, parts=parts)
-
-
-def rounded(values: NDArray[np.float64], error: float) -> NDArray[np.float64]:
-    """Numbers of few binary digits, within a relative error of the given ones; the rest are zeros that deflate."""
-    mantissa, exponent = np.frexp(values)
-    scale = 2.0 ** np.ceil(-np.log2(error))
-    return np.ldexp(np.round(mantissa * scale) / scale, exponent)
 
 
 def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> NDArray[np.float64]:
@@ -281,7 +279,19 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> NDArray[np.
         raise InputError(
             f"compressed: method {method!r} is unknown; this version reads {', '.join(known)}, update gonio"
         )
-    try:
+    with _undamaged():
         return known[method].decode(content, fields)
+
+
+def decode_peak(content: Mapping[str, Any], areas: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values of a highlight's own cells from a compressed file's content, as `decode`; `areas` as `Peak.areas`."""
+    with _undamaged():
+        return highlight.decode(content, areas)
+
+
+@contextmanager
+def _undamaged() -> Iterator[None]:
+    try:
+        yield
     except (KeyError, TypeError, ValueError, OSError, EOFError) as error:
         raise InputError(f"compressed: damaged content ({error}); compress the table again") from error
