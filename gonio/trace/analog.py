@@ -9,13 +9,24 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, HIT_U, HIT_V, PACKET_WIDTH, new_packet, new_ray
 from gonio.core.jit import kernel
-from gonio.core.lookup import Axis, find
 from gonio.core.philox import uniforms
-from gonio.table.tilts import to_tilts
+from gonio.trace.binning import (
+    ABSORBED_COLUMN,
+    LEDGER_COLUMNS,
+    RAYS,
+    add_sums,
+    cell_of,
+    coordinates,
+    count_exit,
+    count_peak,
+    exits,
+    exits_by_tilt,
+    own_sums,
+    tilts_of,
+)
 from gonio.trace.interface import SCRATCH_ROWS
 from gonio.trace.layered import trace_path
 from gonio.trace.stack import UNIT, WIDTH_X, WIDTH_Y
@@ -27,52 +38,10 @@ from gonio.trace.stack_looks import (
     STATES,
     Eye,
 )
-from gonio.trace.transport import REFLECTED, TRANSMITTED, start_packet, trace_packet
-
-# Columns of a ledger row, in units of incident energy (mean over channels); RAYS counts Embree's rays. Then,
-# for stacks of layers, what is absorbed at each layer's surface and in the medium below it. A path that
-# ended with status s belongs to column s - 1.
-LEDGER = ("reflected", "transmitted", "absorbed", "killed", "lost")
-ABSORBED_COLUMN = LEDGER.index("absorbed")
-RAYS = len(LEDGER)
-LEDGER_COLUMNS = RAYS + 1
+from gonio.trace.transport import REFLECTED, start_packet, trace_packet
 
 _SHIFT = 1 << 16  # dimension of the random numbers that no path uses
 _PERIODS = 1 << 20  # so many tiles of the first layer a path may start over, against those of other periods
-
-
-class Bins(NamedTuple):
-    """How exits are told apart."""
-
-    theta: Axis
-    """Edges of sin^2 theta_r."""
-    phi: Axis
-    """Edges of -cos(delta phi)."""
-    slope: Axis
-    """Edges of the peak's half-vector slopes, where it has a grid of its own; see `gonio.table.peak`."""
-    psi: Axis
-    """Edges of -cos(psi)."""
-    peak: int
-    """First of the peak's cells, behind the others; -1: it has none."""
-    orders: int
-    """Numbers of bounces told apart; the last collects all beyond."""
-    share: NDArray[np.float64]
-    """(S,) weights that turn the energies of the samples into the mean over the table's channels."""
-    widths: tuple[float, float]
-    """Of an anisotropic table, whose `theta` and `phi` are edges of tilts (`gonio.table.tilts`): of slopes; else 0."""
-
-
-class Sums(NamedTuple):
-    """Where a unit of work adds its exits; see `gonio.trace.tally`."""
-
-    cells: NDArray[np.float64]
-    """(sheets, R * P + S * Q, C + 1): the sum of weights in each channel, and the number of paths, of each cell."""
-    specular: NDArray[np.float64]
-    """(sheets, C): energy in exactly the mirror direction, or straight through."""
-    energy: NDArray[np.float64]
-    """(sheets, C): all energy, the above included."""
-    ledger: NDArray[np.float64]
-    """(LEDGER_COLUMNS + ...,)"""
 
 
 class Beam(NamedTuple):
@@ -130,12 +99,12 @@ def trace_surface(
     bounces = np.zeros(PACKET_WIDTH, np.int64)
     status = np.zeros(PACKET_WIDTH, np.int64)
     absorbed = np.zeros(samples)
-    own = _own(sums)
+    own = own_sums(sums)
     _trace_packets(
         embree, box, horizon, coherent, eta_k, albedo, to_channels, bins, beam, part, seed, batch, max_bounces, own,
         new_packet(), weight, polarisation, axis, retreat, bounces, status, absorbed,
     )  # fmt: skip
-    _add(own, sums)
+    add_sums(own, sums)
 
 
 # apart from its caller, so that numba counts no references to arrays in the loop
@@ -160,23 +129,23 @@ def _trace_packets(
             weight, polarisation, axis, retreat, bounces, status, absorbed,
         )  # fmt: skip
         if bins.widths[0] > 0.0:
-            _exit_by_tilt(packet, wi, bins.widths)
+            exits_by_tilt(packet, wi, bins.widths)
         else:
-            _exit(packet, azimuth)
+            exits(packet, azimuth)
         for lane in range(PACKET_WIDTH):  # all cells before the first is read: the caches' misses overlap
-            ints[HIT_U, lane] = _cell(bins, packet[HIT_U, lane], packet[HIT_V, lane])
+            ints[HIT_U, lane] = cell_of(bins, packet[HIT_U, lane], packet[HIT_V, lane])
         for lane in range(PACKET_WIDTH):
             x, y = packet[DIR_X, lane], packet[DIR_Y, lane]
             # a facet parallel to the macroscopic plane leaves these two components untouched, to the bit;
             # no other path ends so but by a chance of 1e-14
             delta = albedo is None and x == mirror_x and y == mirror_y
-            _count(
+            count_exit(
                 to_channels, bins, sums, ints[HIT_U, lane], status[lane], bounces[lane],
                 delta, False, weight[lane],
             )  # fmt: skip
             if bins.peak >= 0 and status[lane] == REFLECTED and not delta:
                 half = x - mirror_x, y - mirror_y, packet[DIR_Z, lane] - mirror_z
-                _count_peak(to_channels, bins, sums, half, azimuth, bounces[lane], weight[lane])
+                count_peak(to_channels, bins, sums, half, azimuth, bounces[lane], weight[lane])
     for sample in range(absorbed.shape[0]):
         sums.ledger[ABSORBED_COLUMN] += bins.share[sample] * absorbed[sample]
 
@@ -203,14 +172,14 @@ def trace_stack(
         As in `trace_surface`.
     """
     samples = bins.share.shape[0]
-    own = _own(sums)
+    own = own_sums(sums)
     eye = None if looks is None else _open_eye(looks, clear, bins, beam, part, seed, batch, sums)
     _trace_paths(
         zones, facets, tables, media, polarised, to_channels, eye, bins, beam, part, seed, batch, max_bounces, own,
         new_ray(), np.empty((samples, 4)), np.empty(samples), np.empty((SCRATCH_ROWS, samples)),
         np.zeros(sums.ledger.shape[0] - LEDGER_COLUMNS),
     )  # fmt: skip
-    _add(own, sums)
+    add_sums(own, sums)
 
 
 @kernel(allocates=False)
@@ -247,16 +216,15 @@ def _trace_paths(
             for s in range(weight.shape[0]):
                 weight[s] = light[s, 0]
             if bins.widths[0] > 0.0:
-                sin2, cosine = _tilts(wi, bins.widths, wo[0], wo[1], wo[2])
+                sin2, cosine = tilts_of(wi, bins.widths, wo[0], wo[1], wo[2])
             else:
-                sin2, cosine = _coordinates(wo[0], wo[1], wo[2], azimuth)
+                sin2, cosine = coordinates(wo[0], wo[1], wo[2], azimuth)
             joined = joined and status == REFLECTED
-            _count(
-                to_channels, bins, sums, _cell(bins, sin2, cosine), status, bounces, straight, joined, weight
-            )
+            cell = cell_of(bins, sin2, cosine)
+            count_exit(to_channels, bins, sums, cell, status, bounces, straight, joined, weight)
             if bins.peak >= 0 and status == REFLECTED and not straight:
                 half = wi[0] + wo[0], wi[1] + wo[1], wi[2] + wo[2]
-                _count_peak(to_channels, bins, sums, half, azimuth, bounces, weight)
+                count_peak(to_channels, bins, sums, half, azimuth, bounces, weight)
     for column in range(absorbed.shape[0]):
         sums.ledger[LEDGER_COLUMNS + column] += absorbed[column]
         sums.ledger[ABSORBED_COLUMN] += absorbed[column]
@@ -274,22 +242,6 @@ def _open_eye(looks, clear, bins, beam, part, seed, batch, sums):
     return Eye(looks, clear, bins.theta, sectors, bins.orders, sums.cells, state, light)
 
 
-@kernel
-def _own(sums):
-    """Sums for one thread; the short ones apart, for threads that write to one cache line wait for each other."""
-    return Sums(
-        sums.cells, np.zeros_like(sums.specular), np.zeros_like(sums.energy), np.zeros_like(sums.ledger)
-    )
-
-
-@kernel
-def _add(own, sums):
-    """Add what was summed apart."""
-    sums.specular[:] += own.specular
-    sums.energy[:] += own.energy
-    sums.ledger[:] += own.ledger
-
-
 @kernel(allocates=False)
 def _incident(beam, u, v):
     """Direction to the light from two uniform numbers, and (cos, sin) of its azimuth, even on the normal."""
@@ -299,115 +251,6 @@ def _incident(beam, u, v):
         v = beam.azimuth / (2.0 * math.pi)
     azimuth = math.cos(2.0 * math.pi * v), math.sin(2.0 * math.pi * v)
     return (sine * azimuth[0], sine * azimuth[1], math.sqrt(1.0 - sin2)), azimuth
-
-
-@kernel(allocates=False)
-def _coordinates(x, y, z, azimuth):
-    """sin^2 theta_r and cos(delta phi) of a direction.
-
-    `azimuth` is that of incidence, as (cos, sin); at normal incidence, where none is better, the one drawn.
-    """
-    across2 = x * x + y * y
-    cosine = (azimuth[0] * x + azimuth[1] * y) / math.sqrt(across2) if across2 > 0.0 else 1.0
-    return across2 / (across2 + z * z), cosine
-
-
-@kernel(allocates=False)
-def _exit(packet, azimuth):
-    """`_coordinates` of all 16 paths at once, in the rows HIT_U and HIT_V."""
-    if packet.shape[1] != PACKET_WIDTH:
-        return
-    azimuth = np.float32(azimuth[0]), np.float32(azimuth[1])
-    for lane in range(PACKET_WIDTH):
-        sin2, cosine = _coordinates(packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane], azimuth)
-        packet[HIT_U, lane] = sin2
-        packet[HIT_V, lane] = cosine
-
-
-@kernel(allocates=False)
-def _tilts(wi, widths, x, y, z):
-    """Tilts x and -y of a direction, turned up at the plane if it leaves below: in place of `_coordinates`."""
-    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-    tilt_x, tilt_y, _ = to_tilts(wi, (scale * x, scale * y, scale * abs(z)), widths)
-    return tilt_x, -tilt_y
-
-
-@kernel(allocates=False)
-def _exit_by_tilt(packet, wi, widths):
-    """`_tilts` of all 16 paths at once, in the rows HIT_U and HIT_V."""
-    for lane in range(PACKET_WIDTH):
-        x, y, z = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
-        packet[HIT_U, lane], packet[HIT_V, lane] = _tilts(
-            wi, widths, np.float64(x), np.float64(y), np.float64(z)
-        )
-
-
-@kernel(allocates=False)
-def _count_peak(to_channels, bins, sums, half, azimuth, bounces, weight):
-    """Add a reflected path to the peak's cell that wi + wo = `half` falls in, if any."""
-    x, y, z = half
-    across = math.sqrt(x * x + y * y)
-    if not across < bins.slope.edges[-1] * z:
-        return
-    cosine = (azimuth[0] * x + azimuth[1] * y) / across if across > 0.0 else 1.0
-    sectors = bins.psi.edges.shape[0] - 1
-    cell = bins.peak + find(bins.slope, across / z) * sectors + find(bins.psi, -cosine)
-    sheet = max(0, min(bounces, bins.orders) - 1)
-    channels = sums.energy.shape[1]
-    for channel in range(channels):
-        sums.cells[sheet, cell, channel] += _in_channel(to_channels, channel, weight)
-    sums.cells[sheet, cell, channels] += 1.0
-
-
-@kernel(inline=True, allocates=False)
-def _in_channel(to_channels, channel, weight):
-    """What the energies of the samples are in a channel of the table."""
-    if to_channels is None:
-        return weight[channel]
-    w = 0.0
-    for s in range(weight.shape[0]):
-        w += to_channels[channel, s] * weight[s]
-    return w
-
-
-@kernel(inline=True, allocates=False)
-def _count(to_channels, bins, sums, cell, status, bounces, delta, joined, weight):
-    """Add what is left of one path (`weight`, shape (S,)) to where it ended, and to the cell it left through.
-
-    In no cell, where it was joined to detectors.
-    """
-    energy = 0.0
-    for s in range(weight.shape[0]):
-        energy += bins.share[s] * weight[s]
-    sums.ledger[status - 1] += energy
-    if status != REFLECTED and status != TRANSMITTED:
-        return
-    sheet = min(bounces, bins.orders) - 1
-    if sheet < 0:  # straight through layers that do nothing
-        sheet = 0
-    if status == TRANSMITTED:
-        sheet += bins.orders
-    channels = sums.energy.shape[1]
-    if delta:
-        _add_weight(to_channels, sums.specular[sheet], channels, weight)
-    elif not joined:
-        _add_weight(to_channels, sums.cells[sheet, cell], channels, weight)
-        sums.cells[sheet, cell, channels] += 1.0
-    _add_weight(to_channels, sums.energy[sheet], channels, weight)
-
-
-@kernel(inline=True, allocates=False)
-def _add_weight(to_channels, total, channels, weight):
-    """Add the weights of the samples to those of the table's channels; the first apart: it may be alone."""
-    total[0] += _in_channel(to_channels, 0, weight)
-    for channel in range(1, channels):
-        total[channel] += _in_channel(to_channels, channel, weight)
-
-
-@kernel(inline=True, allocates=False)
-def _cell(bins, sin2, cosine):
-    """Number of a cell from `_coordinates`."""
-    return find(bins.theta, sin2) * (bins.phi.edges.shape[0] - 1) + find(bins.phi, -cosine)
 
 
 @kernel(allocates=False)

@@ -12,8 +12,9 @@ from gonio.core.directions import projected_solid_angles
 from gonio.core.lookup import axis
 from gonio.core.parallel import for_each
 from gonio.table.tilts import slope_widths
-from gonio.trace.analog import RAYS, Beam, Bins, Part, Sums
+from gonio.trace.analog import Beam, Part
 from gonio.trace.anisotropic import AnisotropicLayout
+from gonio.trace.binning import RAYS, Bins, Sums
 from gonio.trace.estimators import ANALOG, FEW_FACETS, HALF_VECTOR, NEXT_EVENT, roughness
 from gonio.trace.facets import measure_facets
 from gonio.trace.half_vector import HalfVector

@@ -21,10 +21,17 @@ from scipy.stats import qmc
 
 from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, ORG_X, ORG_Y, PACKET_WIDTH, new_packet
 from gonio.core.jit import kernel
-from gonio.core.lookup import find
 from gonio.core.philox import philox4x32, unit
-from gonio.trace.analog import ABSORBED_COLUMN, RAYS
-from gonio.trace.transport import REFLECTED, start_packet, trace_packet
+from gonio.trace.binning import (
+    ABSORBED_COLUMN,
+    RAYS,
+    add_sums,
+    cell_of,
+    coordinates,
+    count_exit,
+    own_sums,
+)
+from gonio.trace.transport import start_packet, trace_packet
 from microgeometry.tile import Tile
 
 MOST_DIRECTIONS = 4000
@@ -89,31 +96,22 @@ def trace_on_net(
     weight = np.empty((PACKET_WIDTH, samples))
     polarisation = None if eta_k is None else np.empty((PACKET_WIDTH, samples, 3))
     axis = None if eta_k is None else np.empty((PACKET_WIDTH, 3))
-    # summed apart: threads that write to one cache line wait for each other
-    specular, energy, ledger = (
-        np.zeros_like(sums.specular),
-        np.zeros_like(sums.energy),
-        np.zeros_like(sums.ledger),
-    )
+    own = own_sums(sums)
     _trace_on_net(
-        embree, box, horizon, eta_k, to_channels, bins, beam, points, first, last, seed, batch, max_bounces, sums.cells,
-        specular, energy, ledger, new_packet(), np.empty((PACKET_WIDTH, 4)), weight, polarisation, axis,
+        embree, box, horizon, eta_k, to_channels, bins, beam, points, first, last, seed, batch, max_bounces, own,
+        new_packet(), np.empty((PACKET_WIDTH, 4)), weight, polarisation, axis,
         np.empty((3, PACKET_WIDTH), np.float32), np.zeros(PACKET_WIDTH, np.int64), np.zeros(PACKET_WIDTH, np.int64),
         np.zeros(samples),
     )  # fmt: skip
-    sums.specular[:] += specular
-    sums.energy[:] += energy
-    sums.ledger[:] += ledger
+    add_sums(own, sums)
 
 
 @kernel(allocates=False)
 def _trace_on_net(
-    embree, box, horizon, eta_k, to_channels, bins, beam, points, first, last, seed, batch, max_bounces, cells,
-    specular, energy, ledger, packet, begun, weight, polarisation, axis, retreat, bounces, status, absorbed,
+    embree, box, horizon, eta_k, to_channels, bins, beam, points, first, last, seed, batch, max_bounces, sums,
+    packet, begun, weight, polarisation, axis, retreat, bounces, status, absorbed,
 ):  # fmt: skip
     key = philox4x32(beam.row, 0, 0, _SCRAMBLE, seed, batch)
-    sectors = bins.phi.edges.shape[0] - 1
-    channels = energy.shape[1]
     for k in range(first, last):
         path = beam.row * points.shape[0] + k * PACKET_WIDTH
         start_packet(packet, (0.0, 0.0, 1.0), box, 0.0, 0.0, 0.0, 0.0, seed, batch, path)
@@ -134,40 +132,21 @@ def _trace_on_net(
             packet[DIR_Z, lane] = -math.sqrt(1.0 - sin2)
             begun[lane, 0], begun[lane, 1] = packet[DIR_X, lane], packet[DIR_Y, lane]
             begun[lane, 2], begun[lane, 3] = cosine, sine
-        ledger[RAYS] += trace_packet(
+        sums.ledger[RAYS] += trace_packet(
             embree, box, horizon, False, packet, eta_k, None, max_bounces, seed, batch, path,
             weight, polarisation, axis, retreat, bounces, status, absorbed,
         )  # fmt: skip
         for lane in range(PACKET_WIDTH):
-            left = 0.0
-            for s in range(weight.shape[1]):
-                left += bins.share[s] * weight[lane, s]
-            ledger[status[lane] - 1] += left
-            if status[lane] != REFLECTED:
-                continue
-            x, y, z = float(packet[DIR_X, lane]), float(packet[DIR_Y, lane]), float(packet[DIR_Z, lane])
-            across2 = x * x + y * y
-            cosine = (begun[lane, 2] * x + begun[lane, 3] * y) / math.sqrt(across2) if across2 > 0.0 else 1.0
-            cell = find(bins.theta, across2 / (across2 + z * z)) * sectors + find(bins.phi, -cosine)
-            sheet = min(bounces[lane], bins.orders) - 1
+            x, y, z = packet[DIR_X, lane], packet[DIR_Y, lane], packet[DIR_Z, lane]
+            sin2, cosine = coordinates(float(x), float(y), float(z), (begun[lane, 2], begun[lane, 3]))
             # a facet parallel to the macroscopic plane leaves these two untouched, to the bit
             delta = x == begun[lane, 0] and y == begun[lane, 1]
-            for channel in range(channels):
-                w = 0.0
-                if to_channels is None:
-                    w = weight[lane, channel]
-                else:
-                    for s in range(weight.shape[1]):
-                        w += to_channels[channel, s] * weight[lane, s]
-                energy[sheet, channel] += w
-                if delta:
-                    specular[sheet, channel] += w
-                else:
-                    cells[sheet, cell, channel] += w
-            if not delta:
-                cells[sheet, cell, channels] += 1.0
+            count_exit(
+                to_channels, bins, sums, cell_of(bins, sin2, cosine), status[lane], bounces[lane], delta, False,
+                weight[lane],
+            )  # fmt: skip
     for sample in range(absorbed.shape[0]):
-        ledger[ABSORBED_COLUMN] += bins.share[sample] * absorbed[sample]
+        sums.ledger[ABSORBED_COLUMN] += bins.share[sample] * absorbed[sample]
 
 
 @kernel(allocates=False)

@@ -28,8 +28,11 @@ _ONE = np.float32(1.0)
 
 @kernel(allocates=False)
 def is_vertical(packet):
-    """Whether a started packet, whose rays are parallel, heads straight down."""
-    return packet[DIR_X, 0] == 0.0 and packet[DIR_Y, 0] == 0.0
+    """Whether all rays of a started packet head straight down."""
+    slanted = 0
+    for lane in range(PACKET_WIDTH):
+        slanted += (packet[DIR_X, lane] != 0.0) | (packet[DIR_Y, lane] != 0.0)
+    return slanted == 0
 
 
 @kernel(allocates=False)

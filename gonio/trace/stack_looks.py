@@ -85,7 +85,7 @@ class Eye(NamedTuple):
     """Cells along delta phi."""
     orders: int
     cells: NDArray[np.float64]
-    """As in `gonio.trace.analog.Sums`."""
+    """As in `gonio.trace.binning.Sums`."""
     state: NDArray[np.float64]
     """(STATES,): cosine and sine of the light's azimuth, the number of the next look, the sequence's random shift."""
     light: NDArray[np.float64]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gonio.core.parallel import for_each
-from gonio.trace.analog import LEDGER, LEDGER_COLUMNS, RAYS
+from gonio.trace.binning import LEDGER, LEDGER_COLUMNS, RAYS
 from gonio.trace.sheets import RowCounts, SheetTally
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ class Tally:
         Numbers of bounces told apart: 1, 2, ..., orders - 1, and as many as `orders` or more.
     ledger_names : sequence of str
         Names of the ledger's columns from LEDGER_COLUMNS on, such as "absorbed: layer 1 surface". The
-        columns before are those of `gonio.trace.analog`: LEDGER, then RAYS.
+        columns before are those of `gonio.trace.binning`: LEDGER, then RAYS.
     joint : bool
         As in `gonio.trace.sheets.SheetTally`.
 

@@ -7,7 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from gonio.trace.analog import Beam, Bins, Part, Sums, trace_stack, trace_surface
+from gonio.trace.analog import Beam, Part, trace_stack, trace_surface
+from gonio.trace.binning import Bins, Sums
 from gonio.trace.few_facets import net, trace_on_net
 from gonio.trace.scene import Optics, TraceScene, pack_optics
 from gonio.trace.stack import Stack, StackScene, pack_stack

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gonio.core.embree import (
+    DIR_Y,
     GEOM_ID,
     NORMAL_X,
     NORMAL_Z,
@@ -99,3 +100,11 @@ def test_one_ray_a_path_is_saved_and_none_lost():
     assert np.all(looked_up.status == 1)
     assert traced.rays - looked_up.rays > paths
     assert np.mean(looked_up.bounces) == pytest.approx(np.mean(traced.bounces), abs=_BESIDE)
+
+
+def test_one_slanted_ray_keeps_its_packet_from_falling():
+    box = TraceScene([HeightField(np.zeros((2, 2)), (1.0, 1.0))]).box
+    packet = new_packet()
+    start_packet(packet, (0.0, 0.0, 1.0), box, 0.0, 0.0, 0.1, 0.1, 0, 0, 0)
+    packet[DIR_Y, 9] = 0.1
+    assert not is_vertical(packet)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gonio.trace import sheets
-from gonio.trace.analog import LEDGER, LEDGER_COLUMNS, RAYS
+from gonio.trace.binning import LEDGER, LEDGER_COLUMNS, RAYS
 from gonio.trace.tally import Tally
 from gonio.validation import seed_from
 
