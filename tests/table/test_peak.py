@@ -25,6 +25,8 @@ from gonio.validation import check_sampling, check_weights
 from microgeometry.errors import InputError
 from microgeometry.specimen import parse_specimen
 
+pytestmark = pytest.mark.compiled
+
 ALPHA = 0.02
 ROWS = np.arange(0, 91, 3)
 
