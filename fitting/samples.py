@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fitting.grid import Grid
 from fitting.kernels import pooled_variance
 from gonio.core.parallel import for_each
+from gonio.table.checks.reciprocity import AVERAGED
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -204,7 +205,7 @@ def _repeated(table: Table) -> NDArray[np.bool_]:
     By turns that of the larger and of the smaller theta_i, so that neither half weighs more.
     """
     row, ring = np.ogrid[: len(table.theta_i), : len(table.theta_r)]
-    averaged = "reciprocity" in table.provenance  # see `gonio.trace.reciprocal`
+    averaged = AVERAGED in table.provenance  # see `gonio.trace.reciprocal`
     return (averaged & (row != ring) & ((row < ring) == ((row + ring) % 2 == 0)))[:, :, None]
 
 

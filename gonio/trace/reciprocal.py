@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.table.checks.reciprocity import check_reciprocity
+from gonio.table.checks.reciprocity import AVERAGED, check_reciprocity
 from gonio.table.parts import orders_of
 from gonio.table.table import Table
 
@@ -63,9 +63,7 @@ def reciprocal(table: Table, paths: NDArray[np.int64]) -> Table:
         f"f(i, o) and f(o, i) averaged: chi^2 of their difference {test.numbers['chi2_per_dof']:.3f} per degree of "
         f"freedom, of {test.numbers['dof']}; the two cells of a pair hold the same light, counted once"
     )
-    return whole.replace(
-        parts={**table.parts, **orders}, provenance={**table.provenance, "reciprocity": said}
-    )
+    return whole.replace(parts={**table.parts, **orders}, provenance={**table.provenance, AVERAGED: said})
 
 
 def _average(table: Table, paths: NDArray[np.int64]) -> Table:

@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 MIN_HITS = 20
 """Paths expected on each side of a comparison; cells with fewer are merged with their neighbours."""
 
+AVERAGED = "reciprocity"
+"""Key in the provenance of a table averaged by reciprocity, which says how it passed the test before."""
+
 # Error bars come from a finite number of batches and the noise of neighbouring cells is correlated, so a
 # chi^2 somewhat above 1 is no proof of asymmetry however many cells there are.
 _CHI2_LIMIT = {"cells": 1.25, "rings": 1.5}
@@ -45,6 +48,8 @@ def check_reciprocity(table: Table) -> list[Check]:
     areas = np.diff(np.sin(table.theta_r_edges) ** 2)
     weight = (areas[rows] * areas[rings])[:, None, None] * np.diff(table.delta_phi_edges)[:, None]
     size = _asymmetry(first, second, weight, "over all pairs of cells")
+    if AVERAGED in table.provenance:
+        return [Check("reciprocity", None, str(table.provenance[AVERAGED])), size]
     if table.std_error is None:
         return [size]
     error = table.std_error
