@@ -90,10 +90,11 @@ def _collect(table: Table, prefix: str, arrays: dict[str, NDArray]) -> None:
 
 def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> NDArray:
     """One array, of no more bytes than the archive can hold."""
-    if info.file_size > _MAX_RATIO * max(1, min(info.compress_size, path.stat().st_size)):
+    there = path.stat().st_size
+    if info.compress_size > there or info.file_size > _MAX_RATIO * max(1, info.compress_size):
         raise InputError(
-            f"{path}: {info.filename[:80]} claims {info.file_size} bytes, more than a file of "
-            f"{path.stat().st_size} bytes can hold; write it again"
+            f"{path}: {info.filename[:80]} claims {info.file_size} bytes in {info.compress_size}, more than a file "
+            f"of {there} bytes can hold; write it again"
         )
     data = archive.read(info)
     stream = io.BytesIO(data)
