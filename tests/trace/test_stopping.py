@@ -25,7 +25,7 @@ def specimen(surface, material, **grid):
     return parse_specimen({"surface": surface, "material": material, "grid": {**COARSE, **grid}})
 
 
-def gaussian(alpha=0.3):
+def gaussian(alpha=0.6):  # a smoother one has a peak of its own
     surface = {"kind": "gaussian", "alpha": alpha, "samples": 64, "size": 8}
     return specimen(surface, {"kind": "conductor", "eta": 1.0, "k": 2.0})
 
