@@ -34,10 +34,10 @@ from gonio.core.jit import kernel
 from gonio.core.lookup import find
 from gonio.core.philox import uniforms
 from gonio.trace.analog import morton
-from gonio.trace.from_above import fall
 from gonio.trace.horizon import escapes
+from gonio.trace.start import fall, start_packet
 from gonio.trace.tracer import MAX_BOUNCES
-from gonio.trace.transport import MAX_SEGMENTS, start_packet
+from gonio.trace.transport import MAX_SEGMENTS
 
 _ZERO = np.float32(0)
 _FAR = np.float32(np.inf)

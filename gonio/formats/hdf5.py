@@ -210,10 +210,8 @@ def _is_anisotropic(file: h5py.File, path: Path) -> bool:
             f"{path}: an HDF5 file of something else (it holds {names}); a BRDF table has the attribute "
             f"format = {FORMAT!r}"
         )
-    version, own = (
-        str(file.attrs.get("version", "")),
-        hdf5_anisotropic.VERSION if found != FORMAT else VERSION,
-    )
+    version = str(file.attrs.get("version", ""))
+    own = VERSION if found == FORMAT else hdf5_anisotropic.VERSION
     major, current = version.partition(".")[0], int(own.partition(".")[0])
     if not major.isdigit():
         raise InputError(f"{path}: attribute version is {version!r}; {own!r} is expected; trace it again")

@@ -173,6 +173,9 @@ def _blocks(cells: Array) -> Array:
 def _masked(w, widths):
     """Smith's Lambda of a surface of these widths of slopes, times cos(theta).
 
+    Rational, where `gonio.core.masking` has an erf and an exp for each direction of each value: what is divided out
+    need not be exact.
+
     Walter et al. 2007, Microfacet models for refraction, section 5.2: a rational approximation for Beckmann's.
     """
     z = max(w[2], _LEAST)

@@ -38,7 +38,8 @@ from gonio.trace.stack_looks import (
     STATES,
     Eye,
 )
-from gonio.trace.transport import REFLECTED, start_packet, trace_packet
+from gonio.trace.start import start_packet
+from gonio.trace.transport import REFLECTED, trace_packet
 
 _SHIFT = 1 << 16  # dimension of the random numbers that no path uses
 _PERIODS = 1 << 20  # so many tiles of the first layer a path may start over, against those of other periods

@@ -10,7 +10,7 @@ from gonio.core.phase import hg, rayleigh
 from gonio.table.table import Table
 from gonio.trace.few_facets import MOST_DIRECTIONS, directions
 from gonio.trace.stack import LAMBERT, SCATTERS, TABLE
-from gonio.trace.tracer import Layers, Surface, Tracer
+from gonio.trace.tracer import Layers, Tracer
 from microgeometry.errors import InputError
 from microgeometry.materials import Conductor, Mirror, TableMaterial
 from microgeometry.media import HenyeyGreenstein, Medium, TabulatedPhase
@@ -116,9 +116,7 @@ def _against_few_facets(specimen: Specimen, seed: int) -> str | None:
     tracer = Tracer(specimen, seed, 1)
     if tracer.optics is None or tracer.optics.albedo is not None:
         return "it knows one surface of mirror or conductor facets only"
-    realisation = tracer.realise(0)
-    assert isinstance(realisation, Surface)
-    count = directions(realisation.tile)
+    count = directions(tracer.tiles(0)[0])
     if not 0 < count <= MOST_DIRECTIONS:
         return f"facets look in {count} directions but up, and it needs 1 to {MOST_DIRECTIONS}"
     alpha = roughness(tracer)

@@ -31,7 +31,8 @@ from gonio.trace.binning import (
     count_exit,
     own_sums,
 )
-from gonio.trace.transport import start_packet, trace_packet
+from gonio.trace.start import ready_packet
+from gonio.trace.transport import trace_packet
 from microgeometry.tile import Tile
 
 MOST_DIRECTIONS = 4000
@@ -114,16 +115,10 @@ def _trace_on_net(
     key = philox4x32(beam.row, 0, 0, _SCRAMBLE, seed, batch)
     for k in range(first, last):
         path = beam.row * points.shape[0] + k * PACKET_WIDTH
-        start_packet(packet, (0.0, 0.0, 1.0), box, 0.0, 0.0, 0.0, 0.0, seed, batch, path)
         for lane in range(PACKET_WIDTH):
             point = points[k * PACKET_WIDTH + lane]
-            x, y = (
-                unit(_scramble(point[0], key[0])) * box.width_x,
-                unit(_scramble(point[1], key[1])) * box.width_y,
-            )
-            # as in `start_packet`: not on a face of the box
-            packet[ORG_X, lane] = min(max(x, box.lift), box.width_x - box.lift)
-            packet[ORG_Y, lane] = min(max(y, box.lift), box.width_y - box.lift)
+            packet[ORG_X, lane] = unit(_scramble(point[0], key[0])) * box.width_x
+            packet[ORG_Y, lane] = unit(_scramble(point[1], key[1])) * box.width_y
             sin2 = beam.sin2_lower + unit(_scramble(point[2], key[2])) * (beam.sin2_upper - beam.sin2_lower)
             turn = 2.0 * math.pi * unit(_scramble(point[3], key[3]))
             cosine, sine = math.cos(turn), math.sin(turn)
@@ -132,6 +127,7 @@ def _trace_on_net(
             packet[DIR_Z, lane] = -math.sqrt(1.0 - sin2)
             begun[lane, 0], begun[lane, 1] = packet[DIR_X, lane], packet[DIR_Y, lane]
             begun[lane, 2], begun[lane, 3] = cosine, sine
+        ready_packet(packet, box)
         sums.ledger[RAYS] += trace_packet(
             embree, box, horizon, False, packet, eta_k, None, max_bounces, seed, batch, path,
             weight, polarisation, axis, retreat, bounces, status, absorbed,

@@ -54,7 +54,7 @@ class Horizon(NamedTuple):
     per_y: np.float32
     """Blocks per unit of length."""
     samples: Field
-    """Of the height field, for `gonio.trace.from_above.fall`."""
+    """Of the height field, for `gonio.trace.start.fall`."""
 
 
 NO_HORIZON = Horizon(

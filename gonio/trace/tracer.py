@@ -109,7 +109,7 @@ class Tracer:
         """The realisation of a batch; a specimen without anything random has one for all."""
         if self._fixed is not None:
             return self._fixed
-        tiles = self._tiles(batch)
+        tiles = self.tiles(batch)
         if batch == len(self._statistics) < _STATISTICS_TILES:
             self._statistics.append([tile.statistics() for tile in tiles])
         realisation: Realisation
@@ -127,7 +127,7 @@ class Tracer:
             if batch > 0 and not self._specimen.is_random:
                 break
             # traced by others, or before a measurement was resumed
-            self._statistics.append([tile.statistics() for tile in self._tiles(batch)])
+            self._statistics.append([tile.statistics() for tile in self.tiles(batch)])
         return [
             {name: float(np.mean([asdict(tile)[name] for tile in tiles])) for name in asdict(tiles[0])}
             for tiles in zip(*self._statistics, strict=True)
@@ -139,8 +139,8 @@ class Tracer:
             return False
         return not self._specimen.is_random or self._paths >= _HORIZON_PATHS * tile.heights.size
 
-    def _tiles(self, batch: int) -> list[Tile]:
-        """One period of each layer's surface."""
+    def tiles(self, batch: int) -> list[Tile]:
+        """One period of each layer's surface, in the realisation of a batch."""
         return [
             layer.surface.realise(_realisation_seed(self._seed, batch, number))
             for number, layer in enumerate(self._specimen.layers)

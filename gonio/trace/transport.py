@@ -23,8 +23,6 @@ from gonio.core.embree import (
     GEOM_ID,
     HIT_U,
     HIT_V,
-    INST_ID,
-    INST_PRIM_ID,
     MISS,
     NORMAL_X,
     NORMAL_Y,
@@ -34,7 +32,6 @@ from gonio.core.embree import (
     ORG_Z,
     PACKET_WIDTH,
     T_FAR,
-    T_NEAR,
     VALID,
     intersect16,
 )  # fmt: skip
@@ -42,8 +39,8 @@ from gonio.core.jit import kernel
 from gonio.core.optics import fresnel_amplitudes, fresnel_conductor
 from gonio.core.philox import uniforms
 from gonio.core.stokes import mueller, perpendicular, rotation
-from gonio.trace.from_above import fall, is_vertical
 from gonio.trace.horizon import escapes
+from gonio.trace.start import fall, is_vertical
 
 # How a path ended. Every path has exactly one of these.
 REFLECTED = 1  # left through the plane above
@@ -69,50 +66,6 @@ _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 _FAR = np.float32(np.inf)
-
-
-@kernel(allocates=False)
-def start_packet(packet, wi, box, x0, y0, dx, dy, seed, batch, path):
-    """Place 16 paths on the plane at the top of the box, one in each cell of a 4 x 4 grid of strata, heading along -wi.
-
-    Parameters
-    ----------
-    packet : ndarray
-        From `gonio.core.embree.new_packet`.
-    wi : direction
-        Towards the light.
-    box : Box
-    x0, y0, dx, dy : float
-        Corner and size of one stratum, tile units.
-    seed, batch, path : int
-        Key and counter of the random numbers; the packet's paths are path ... path + 15.
-    """
-    if packet.shape[1] != PACKET_WIDTH:  # tells the compiler, which then vectorises
-        return
-    ints = packet.view(np.int32)
-    half = PACKET_WIDTH // 2
-    for lane in range(half):
-        # four numbers, for two paths
-        u, v, p, q = uniforms(path + lane, (path + lane) >> 32, 0, 0, seed, batch)
-        packet[ORG_X, lane] = x0 + (lane // 4 + u) * dx
-        packet[ORG_Y, lane] = y0 + (lane % 4 + v) * dy
-        packet[ORG_X, lane + half] = x0 + (lane // 4 + half // 4 + p) * dx
-        packet[ORG_Y, lane + half] = y0 + (lane % 4 + q) * dy
-    # rounding may put a path on a face of the box, where Embree sees no facet straight below
-    low, x_high, y_high = box.lift, box.width_x - box.lift, box.width_y - box.lift
-    for lane in range(PACKET_WIDTH):
-        packet[ORG_X, lane] = min(max(packet[ORG_X, lane], low), x_high)
-        packet[ORG_Y, lane] = min(max(packet[ORG_Y, lane], low), y_high)
-        packet[ORG_Z, lane] = box.top
-        packet[DIR_X, lane] = -wi[0]
-        packet[DIR_Y, lane] = -wi[1]
-        packet[DIR_Z, lane] = -wi[2]
-        packet[T_NEAR, lane] = _ZERO
-        packet[T_FAR, lane] = _FAR
-        ints[GEOM_ID, lane] = MISS
-        ints[INST_ID, lane] = MISS
-        ints[INST_PRIM_ID, lane] = MISS
-        ints[VALID, lane] = -1
 
 
 @kernel(allocates=False)
@@ -149,13 +102,13 @@ def trace_packet(
         Whether neighbouring paths start within a few facets of each other: Embree then traces them
         together, else each for itself.
     packet : ndarray
-        Started by `start_packet`; on return its directions are those the paths left in.
+        Started by `gonio.trace.start.start_packet`; on return its directions are those the paths left in.
     eta_k, albedo : ndarray or None
         As in `gonio.trace.scene.Optics`.
     max_bounces : int
         A path that would bounce once more is killed.
     seed, batch, path : int
-        As in `start_packet`.
+        As in `gonio.trace.start.start_packet`.
     weight : ndarray, shape (16, S)
         Set to what is left of each path's energy at its end.
     polarisation, axis : ndarray or None, shapes (16, S, 3) and (16, 3)

@@ -9,7 +9,8 @@ from gonio.core.directions import direction
 from gonio.core.embree import DIR_X, DIR_Y, DIR_Z, PACKET_WIDTH, new_packet
 from gonio.core.jit import kernel
 from gonio.trace.scene import TraceScene, pack_optics
-from gonio.trace.transport import start_packet, trace_packet
+from gonio.trace.start import start_packet
+from gonio.trace.transport import trace_packet
 from microgeometry.specimen import Layer
 from microgeometry.surfaces.flat import Flat
 

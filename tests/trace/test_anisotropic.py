@@ -160,7 +160,7 @@ def test_what_cannot_be_is_refused():
 
 def test_goes_on_to_the_same_bits_and_to_a_target():
     given = anisotropic(
-        {"kind": "gaussian", "alpha": 0.3, "samples": 128},
+        {"kind": "gaussian", "alpha": 0.3, "samples": 512},
         theta_i_deg=[0, 40],
         phi_i_step_deg=120,
         tilt_cells=9,
@@ -175,7 +175,7 @@ def test_goes_on_to_the_same_bits_and_to_a_target():
         second.add_batch()
     assert np.array_equal(straight.table().energy, second.table().energy)
     assert np.array_equal(straight.table().std_error, second.table().std_error)
-    table = measure(given, rays=2_000_000, target_error=0.2)
+    table = measure(given, rays=2_000_000, target_error=0.1)
     assert table.provenance["target_met"] is True
     assert table.ledger["paths"] < 2_000_000
 

@@ -18,9 +18,8 @@ from gonio.core.embree import (
     new_packet,
 )
 from gonio.core.jit import kernel
-from gonio.trace.from_above import fall, is_vertical
 from gonio.trace.scene import TraceScene
-from gonio.trace.transport import start_packet
+from gonio.trace.start import fall, is_vertical, start_packet
 from microgeometry.materials import Mirror
 from microgeometry.tile import HeightField
 
@@ -28,8 +27,8 @@ from .paths import Paths
 
 pytestmark = pytest.mark.compiled
 
-# rounding moves a ray to the quad or triangle beside, on about this fraction of a tile
-_BESIDE = 1e-3
+# more than the fraction of rays that rounding moves to the triangle beside (measured: 3 of a million)
+_BESIDE = 1e-4
 
 
 @kernel
@@ -66,7 +65,7 @@ def test_hits_are_embrees(shape):
         )
     assert np.all(looked_up.view(np.int32)[:, GEOM_ID] == 0)
     assert np.array_equal(looked_up[:, ORG_X : ORG_Z + 1], traced[:, ORG_X : ORG_Z + 1])
-    assert np.abs(looked_up[:, T_FAR] - traced[:, T_FAR]).max() < 10 * scene.box.lift
+    assert np.abs(looked_up[:, T_FAR] - traced[:, T_FAR]).max() < 2 * scene.box.lift
     same = (
         np.abs(looked_up[:, NORMAL_X : NORMAL_Z + 1] - traced[:, NORMAL_X : NORMAL_Z + 1]).max(axis=1) < 1e-4
     )
