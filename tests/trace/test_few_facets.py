@@ -116,7 +116,8 @@ def test_less_noise_than_binning_at_equal_paths():
         values = np.array([run.values for run in runs])
         bright = values.mean(0) > 0.1 * values.mean(0).max()
         noise.append(np.median(values.var(0, ddof=1)[bright]))
-    assert noise[0] < 0.1 * noise[1]
+    # 0.013 on the net, 0.09 with random points in its place
+    assert noise[0] < 0.04 * noise[1]
 
 
 @pytest.mark.compiled
