@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.cube_root import cube_root
 from fitting.modulus import expected
 from fitting.moments import (
     ABSOLUTE_LOG,
@@ -82,9 +83,6 @@ def account(problem: Problem, point: Point) -> Account:
     n, channels = samples.values.shape
     chunks = max(1, min(_CHUNKS, n // 2000))
     stride = max(1, n // _ENOUGH)
-    sums = np.zeros((chunks, 10))
-    scatter = np.zeros((chunks, problem.size, problem.size))
-    powers = np.zeros((chunks, 2, problem.size))
     curved, weights = problem, np.empty((0, channels))
     if objective.difference == ABSOLUTE_LOG:
         curved = expected(problem, point)
@@ -100,9 +98,9 @@ def account(problem: Problem, point: Point) -> Account:
     )
     variance = np.empty((0, channels)) if samples.variance is None else samples.variance
 
-    def task(chunk: int) -> None:
+    def task(chunk: int) -> tuple[Array, Array, Array]:
         part = slice(chunk * n // chunks, (chunk + 1) * n // chunks)
-        _account(
+        sums: tuple[Array, Array, Array] = _account(
             *shapes,
             *cells.part(part),
             samples.sin_i[part],
@@ -117,13 +115,10 @@ def account(problem: Problem, point: Point) -> Account:
             maps,
             places,
             inverse,
-            sums[chunk],
-            scatter[chunk],
-            powers[chunk],
         )
+        return sums
 
-    for_each(task, chunks)
-    total = sums.sum(axis=0)
+    total, scatter, powers = (np.sum(parts, axis=0) for parts in zip(*for_each(task, chunks), strict=True))
     values = n * channels
     metrics = {
         "ngan_l2": float(total[_NGAN]),
@@ -134,7 +129,7 @@ def account(problem: Problem, point: Point) -> Account:
     }
     if samples.variance is not None:
         metrics["chi2"] = float(total[_CHI2])
-    square, fourth = powers.sum(axis=0)
+    square, fourth = powers
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         freedom = 3.0 * square**2 / fourth - 2.0
     return Account(
@@ -142,7 +137,7 @@ def account(problem: Problem, point: Point) -> Account:
         float(np.sqrt(min(total[_SPREAD], total[_BOUND]))),
         float(total[_PAIRS] / np.sqrt(total[_PAIRS2])) if total[_PAIRS2] > 0 else 0.0,
         matrix,
-        stride * _symmetric(scatter.sum(axis=0)),
+        stride * _symmetric(scatter),
         held,
         freedom,
     )
@@ -173,10 +168,11 @@ def _symmetric(lower: Array) -> Array:
 def _account(
     kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells, levels, values, weights, cos_i,
     sin_i, sin_o, variance, factors, difference, scale, curved, stride, leverage, maps, places, inverse,
-    sums, scatter, powers,
 ):  # fmt: skip
+    """The sums over some cells: ten as numbered above; of u u', the lower triangle; of q^2 and q^4."""
     size, terms, channels = maps.shape[2], factors.shape[0], values.shape[1]
     v, scratch, u = np.empty(size), new_scratch(tangents), np.empty(len(inverse))
+    sums, scatter, powers = np.zeros(10), np.zeros(inverse.shape), np.zeros((2, len(inverse)))
     shared = weights.shape[1] == 1
     before = np.zeros(channels)  # residuals of the last cell, in standard errors
     for n in range(len(cells)):
@@ -204,7 +200,7 @@ def _account(
             e = y - model
             f, g = max(0.0, y * cos_i[n]), max(0.0, model * cos_i[n])
             log = math.log((1.0 + f) / (1.0 + g))
-            root = np.cbrt(f) - np.cbrt(g)
+            root = cube_root(f) - cube_root(g)
             sums[_NGAN] += ngan * e * e
             sums[_NORM] += ngan * y * y
             sums[_LOW] += sin_i[n] * log * log
@@ -249,3 +245,4 @@ def _account(
             powers[1, j] += q**4
             for k in range(j + 1):
                 scatter[j, k] += u[j] * u[k]
+    return sums, scatter, powers

@@ -63,8 +63,8 @@ class Grid:
     def near_mirror(self, cells: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Cells within two cells of the mirror direction, where lobes are narrowest, shape (N,)."""
         i, r, s = cells.T
-        ring = np.searchsorted(self.rings[0, :, 0, 0], self.rows[0, i, 0, 0])
-        return (np.abs(r - ring) <= 2) & ((s >= self.sectors.shape[1] - 2) | (r <= 2))
+        ring = np.searchsorted(self.rings[0, :, 0, 0], self.rows[0, :, 0, 0]).astype(np.int32)
+        return (np.abs(r - ring[i]) <= 2) & ((s >= self.sectors.shape[1] - 2) | (r <= 2))
 
 
 def _nodes(edges: Array, polar: bool) -> Array:

@@ -17,7 +17,7 @@ _POINTS = 2_500_000  # most quadrature points of a look at all cells
 _NEGLIGIBLE = 1e-10  # of the objective of a model that is 0
 _UNNOTICED = 1e-2  # of chi^2: a tenth of a standard error
 _MANY = 100_000  # cells; of more only one in a block is looked at
-_BLOCK = (1, 1, 2)  # powers of 2, by axis: shifts are faster than divisions
+_BLOCK = np.array([1, 1, 2], np.int32)  # powers of 2, by axis: shifts are faster than divisions
 _NEIGHBOUR = 0.25  # of a neighbouring block's error is the least expected
 
 
@@ -68,20 +68,19 @@ def _worst(error: Array, tolerance: float, most: int) -> NDArray[np.intp]:
 def _sketched(problem: Problem, x: Array, coefficients: Array) -> Array:
     """The change from level 0 to 1 of all cells: of one in a block taken for the others, if they are smooth."""
     cells: NDArray[np.int32] = problem.cells.cells
-    shift = np.array(_BLOCK, np.int32)
-    block = cells >> shift
-    first = np.all(block << shift == cells, axis=1)
+    within = cells.T & ((1 << _BLOCK) - 1)[:, None]
+    first = (within[0] | within[1] | within[2]) == 0
     mirror = problem.samples.grid.near_mirror(cells)
-    block += 1
-    error = np.zeros(block.max(axis=0) + 2)  # a margin, for the neighbours
-    seen = np.flatnonzero(first)
-    error[tuple(block[seen].T)] = _change(problem, x, coefficients, seen, 1)
+    seen = np.flatnonzero(first | mirror)
+    change = _change(problem, x, coefficients, seen, 1)
+    block = tuple((cells.T >> _BLOCK[:, None]) + 1)
+    error = np.zeros([int(axis.max()) + 2 for axis in block])  # a margin, for the neighbours
+    error[tuple(axis[seen[first[seen]]] for axis in block)] = change[first[seen]]
     for axis in range(3):
         near = np.maximum(np.roll(error, 1, axis), np.roll(error, -1, axis))
         error = np.maximum(error, _NEIGHBOUR * near)
-    out = error[tuple(block.T)]
-    seen = np.flatnonzero(mirror)
-    out[seen] = _change(problem, x, coefficients, seen, 1)
+    out = error[block]
+    out[seen[mirror[seen]]] = change[mirror[seen]]
     return out
 
 

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.cube_root import cube_root
 from fitting.models.dispatch import SIDE, lobe_side, lobe_slopes, lobe_terms_of_sides
 from gonio.core.jit import kernel
 from gonio.core.parallel import for_each
@@ -106,28 +107,17 @@ def moments(
         size += int((shapes.counts[:, 0] * shapes.counts[:, 1]).sum())
     grams = cells.weights.shape[1] if difference == QUADRATIC else channels
     chunks = max(1, min(_CHUNKS, n // _CHUNK))
-    objective = np.zeros((chunks, channels))
-    right = np.zeros((chunks, channels, size))
-    gram = np.zeros((chunks, grams, size, size))
 
-    def task(chunk: int) -> None:
+    def task(chunk: int) -> tuple[Array, Array, Array]:
         part = slice(chunk * n // chunks, (chunk + 1) * n // chunks)
-        _moments(
-            *shapes,
-            *cells.part(part),
-            factors,
-            difference,
-            scale,
-            slopes,
-            objective[chunk],
-            right[chunk],
-            gram[chunk],
+        sums: tuple[Array, Array, Array] = _moments(
+            *shapes, *cells.part(part), factors, difference, scale, slopes, size, grams
         )
+        return sums
 
-    for_each(task, chunks)
-    lower = gram.sum(axis=0)
+    objective, right, lower = (np.sum(parts, axis=0) for parts in zip(*for_each(task, chunks), strict=True))
     full = lower + np.swapaxes(np.tril(lower, -1), 1, 2)
-    return Moments(objective.sum(axis=0), right.sum(axis=0), np.broadcast_to(full, (channels, size, size)))
+    return Moments(objective, right, np.broadcast_to(full, (channels, size, size)))
 
 
 @kernel
@@ -191,10 +181,15 @@ def average(
 @kernel
 def _moments(
     kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells, levels, values, weights, cos_i,
-    factors, difference, scale, slopes, objective, right, gram,
+    factors, difference, scale, slopes, size, grams,
 ):  # fmt: skip
-    size, terms, channels = right.shape[1], factors.shape[0], values.shape[1]
+    """The sums over some cells, of `gram` lower triangles.
+
+    In arrays of its own: threads that write side by side in memory wait for each other, at twice the time.
+    """
+    terms, channels = factors.shape[0], values.shape[1]
     v, scratch = np.empty(size), new_scratch(tangents)
+    objective, right, gram = np.zeros(channels), np.zeros((channels, size)), np.zeros((grams, size, size))
     shared = weights.shape[1] == 1
     for n in range(len(cells)):
         level = np.int64(levels[n])
@@ -215,11 +210,12 @@ def _moments(
             wr = w * r
             for j in range(size):
                 right[channel, j] += wr * v[j]
-            if channel < gram.shape[0]:
+            if channel < grams:
                 for j in range(size):
                     wv = w * v[j]
                     for k in range(j + 1):
                         gram[channel, j, k] += wv * v[k]
+    return objective, right, gram
 
 
 @kernel(allocates=False)
@@ -233,8 +229,8 @@ def touching(difference, scale, measured, model, cos_i, weight):
     # noise and interpolation leave values just below 0, where the logarithm and the root mean nothing
     f, g = max(0.0, measured * cos_i), max(0.0, model * cos_i)
     if difference == CUBE_ROOT:
-        root = np.cbrt(max(g, scale))
-        d = np.cbrt(f) - np.cbrt(g)
+        root = cube_root(max(g, scale))
+        d = cube_root(f) - cube_root(g)
         slope = cos_i / (3.0 * root * root)
         return weight * d * d, weight * slope * slope, d / slope
     d = math.log1p(f) - math.log1p(g)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -108,14 +110,29 @@ class Samples:
 
         axes = np.ogrid[tuple(slice(0, n) for n in used.shape)]
         widths = np.diff(table.delta_phi_edges)
+        cells = np.empty((len(index), 3), np.int32)
+
+        def number(axis: int) -> None:
+            cells[:, axis] = cells_of(axes[axis].astype(np.int32))
+
+        # side by side, for most of the time goes into fresh memory
+        tasks: list[Callable[[], Any]] = [
+            lambda: rows_of(table.values),
+            lambda: None if variance is None else rows_of(variance),
+            lambda: cells_of(np.cos(table.theta_i)[:, None, None]),
+            lambda: cells_of(_row_sines(table)[:, None, None]),
+            lambda: cells_of(_ring_sines(table)[:, None] * (widths / widths.mean())),
+            *(partial(number, axis) for axis in range(3)),
+        ]
+        values, variance, cos_i, sin_i, sin_o, *_ = for_each(lambda n: tasks[n](), len(tasks))
         return cls(
             grid=Grid.of_table(table),
-            cells=np.stack([cells_of(axis.astype(np.int32)) for axis in axes], axis=1),
-            values=rows_of(table.values),
-            variance=None if variance is None else rows_of(variance),
-            cos_i=cells_of(np.cos(table.theta_i)[:, None, None]),
-            sin_i=cells_of(_row_sines(table)[:, None, None]),
-            sin_o=cells_of(_ring_sines(table)[:, None] * (widths / widths.mean())),
+            cells=cells,
+            values=values,
+            variance=variance,
+            cos_i=cos_i,
+            sin_i=sin_i,
+            sin_o=sin_o,
             channels=table.channels,
             left_out=left_out,
             wavelengths_nm=table.wavelengths_nm,
