@@ -12,10 +12,11 @@ from fitting.cube_root import cube_root
 from fitting.modulus import expected
 from fitting.moments import (
     ABSOLUTE_LOG,
+    BLOCK,
     QUADRATIC,
     Cells,
     Shapes,
-    average,
+    averages,
     new_scratch,
     touching,
 )
@@ -171,17 +172,19 @@ def _account(
 ):  # fmt: skip
     """The sums over some cells: ten as numbered above; of u u', the lower triangle; of q^2 and q^4."""
     size, terms, channels = maps.shape[2], factors.shape[0], values.shape[1]
-    v, scratch, u = np.empty(size), new_scratch(tangents), np.empty(len(inverse))
+    block, scratch, u = np.empty((BLOCK, size)), new_scratch(tangents), np.empty(len(inverse))
     sums, scatter, powers = np.zeros(10), np.zeros(inverse.shape), np.zeros((2, len(inverse)))
     shared = weights.shape[1] == 1
     before = np.zeros(channels)  # residuals of the last cell, in standard errors
     for n in range(len(cells)):
-        level = np.int64(levels[n])
+        at = n % BLOCK
+        if at == 0:
+            averages(
+                kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells[n : n + BLOCK],
+                levels[n : n + BLOCK], n, stride, scratch, block,
+            )  # fmt: skip
+        v = block[at]
         sampled = n % stride == 0
-        average(
-            kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells[n], level, sampled, scratch,
-            v if sampled else v[:terms],
-        )  # fmt: skip
         ngan = cos_i[n] * cos_i[n] * sin_i[n] * sin_o[n]
         excess, bound, pair = 0.0, 0.0, 0.0
         u[:] = 0.0

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.moments import average, new_scratch
+from fitting.moments import averages, new_scratch
 from gonio.core.jit import kernel
 from gonio.core.parallel import for_each
 
@@ -45,20 +45,18 @@ def cell_terms(
 
     def task(chunk: int) -> None:
         part = slice(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS)
-        _cell_terms(kinds, counts, shapes, tangents, *nodes, cells[part], levels[part], exact_rows, out[part])
+        _cell_terms(kinds, counts, shapes, tangents, *nodes, exact_rows, cells[part], levels[part], out[part])
 
     for_each(task, CHUNKS)
     return out
 
 
 @kernel
-def _cell_terms(kinds, counts, shapes, tangents, rows, rings, sectors, cells, levels, exact_rows, out):
-    scratch = new_scratch(tangents)
-    for index in range(len(cells)):
-        average(
-            kinds, counts, shapes, tangents, rows, rings, sectors, exact_rows,
-            cells[index], np.int64(levels[index]), False, scratch, out[index],
-        )  # fmt: skip
+def _cell_terms(kinds, counts, shapes, tangents, rows, rings, sectors, exact_rows, cells, levels, out):
+    averages(
+        kinds, counts, shapes, tangents, rows, rings, sectors, exact_rows, cells, levels, 0, 0,
+        new_scratch(tangents), out,
+    )  # fmt: skip
 
 
 @kernel

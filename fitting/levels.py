@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.moments import QUADRATIC, Cells, average, new_scratch, touching
+from fitting.moments import BLOCK, QUADRATIC, Cells, averages, new_scratch, touching
 from fitting.problem import Problem
 from gonio.core.jit import kernel
 from gonio.core.parallel import for_each
@@ -120,16 +120,21 @@ def _changes(
     difference, scale, chosen, level, out,
 ):  # fmt: skip
     terms, channels = factors.shape
-    v, before, scratch = np.empty(terms), np.empty(terms), new_scratch(tangents)
+    coarse, fine, scratch = np.empty((BLOCK, terms)), np.empty((BLOCK, terms)), new_scratch(tangents)
+    lower, upper = np.full(BLOCK, level - 1, np.int8), np.full(BLOCK, level, np.int8)
     for m in range(len(chosen)):
-        n = chosen[m]
-        average(
-            kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells[n], level - 1, False,
-            scratch, before,
-        )  # fmt: skip
-        average(
-            kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells[n], level, False, scratch, v
-        )  # fmt: skip
+        at = m % BLOCK
+        if at == 0:
+            some = cells[chosen[m : m + BLOCK]]
+            averages(
+                kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, some, lower, 0, 0, scratch,
+                coarse,
+            )  # fmt: skip
+            averages(
+                kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, some, upper, 0, 0, scratch,
+                fine,
+            )  # fmt: skip
+        n, before, v = chosen[m], coarse[at], fine[at]
         out[m] = 0.0
         for channel in range(channels):
             low, high = 0.0, 0.0

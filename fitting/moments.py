@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 QUADRATIC, LOG, ABSOLUTE_LOG, CUBE_ROOT = range(4)
 """Which difference is measured: f - g; of ln(1 + f cos_i), squared or its modulus; of (f cos_i)^(1/3)."""
 
+BLOCK = 64
+"""Cells whose vectors are made at once."""
+
 _SIDE = SIDE
 _CHUNK = 2000  # cells at least
 _CHUNKS = 32  # at most; a function of the number of cells only, so that sums do not depend on the threads
@@ -122,60 +125,75 @@ def moments(
 
 @kernel
 def new_scratch(tangents):
-    """For `average`: the derivatives of a lobe; then for every lobe two rows, cos theta and `lobe_side` of each."""
+    """For `averages`: the derivatives of a lobe; then for every lobe two rows, cos theta and `lobe_side` of each."""
     lobes, parameters = tangents.shape[:2]
     return np.full((1 + 2 * lobes, max(2 * parameters, 1 + _SIDE)), np.nan)
 
 
 @kernel(allocates=False)
-def average(
-    kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cell, level, slopes, scratch, v
-):
-    """The vector v of one cell; `scratch` is of `new_scratch`, for these lobes, and remembers the last cell's."""
-    i, r, s = cell[0], cell[1], cell[2]
-    nodes = 1 << level
-    row_nodes = 1 if exact_rows else nodes
-    for k in range(len(v)):
-        v[k] = 0.0
+def averages(
+    kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells, levels, begin, every, scratch,
+    out,
+):  # fmt: skip
+    """The vectors v of some cells, into rows of `out`; a call for each would cost as much as what it does.
+
+    `scratch` is of `new_scratch`, for these lobes, and remembers the last cell's. Derivatives are set in one cell
+    of `every`, counted from `begin` of the first; in none if that is 0.
+    """
     first_slope = 0
     for k in range(len(kinds)):
         first_slope += counts[k, 0]
-    for a in range(row_nodes):
-        wi = (rows[level, i, a, 0], 0.0, rows[level, i, a, 1])
-        for b in range(nodes):
-            sine, cosine = rings[level, r, b, 0], rings[level, r, b, 1]
-            weight = rows[level, i, a, 2] * rings[level, r, b, 2]
-            for c in range(nodes):
-                wo = (sine * sectors[level, s, c, 1], sine * sectors[level, s, c, 0], cosine)
-                w = weight * sectors[level, s, c, 2]
-                term, slope = 0, first_slope
-                for k in range(len(kinds)):
-                    side_i, side_o = scratch[1 + 2 * k], scratch[2 + 2 * k]
-                    # cells side by side in delta phi have these in common
-                    if side_i[0] != wi[2]:
-                        side_i[0] = wi[2]
-                        lobe_side(kinds[k], packed[k], tangents[k], wi, side_i[1:])
-                    if side_o[0] != wo[2]:
-                        side_o[0] = wo[2]
-                        lobe_side(kinds[k], packed[k], tangents[k], wo, side_o[1:])
-                    values = lobe_terms_of_sides(kinds[k], packed[k], wi, wo, side_i[1:], side_o[1:])
-                    v[term] += w * values[0]
-                    if counts[k, 0] == 2:
-                        v[term + 1] += w * values[1]
-                    term += counts[k, 0]
-                    if not slopes or counts[k, 1] == 0:
-                        continue
-                    if values[0] == 0.0 and values[1] == 0.0:  # nothing here, nor near here
-                        slope += counts[k, 0] * counts[k, 1]
-                        continue
-                    lobe_slopes(
-                        kinds[k], packed[k], tangents[k], wi, wo, values, side_i[1:], side_o[1:], scratch[0]
-                    )
-                    for j in range(counts[k, 1]):
-                        v[slope] += w * scratch[0, 2 * j]
+    for n in range(len(cells)):
+        i, r, s, level = cells[n, 0], cells[n, 1], cells[n, 2], np.int64(levels[n])
+        nodes = 1 << level
+        row_nodes = 1 if exact_rows else nodes
+        slopes = every > 0 and (begin + n) % every == 0
+        for k in range(out.shape[1]):
+            out[n, k] = 0.0
+        for a in range(row_nodes):
+            wi = (rows[level, i, a, 0], 0.0, rows[level, i, a, 1])
+            for b in range(nodes):
+                sine, cosine = rings[level, r, b, 0], rings[level, r, b, 1]
+                weight = rows[level, i, a, 2] * rings[level, r, b, 2]
+                for c in range(nodes):
+                    wo = (sine * sectors[level, s, c, 1], sine * sectors[level, s, c, 0], cosine)
+                    w = weight * sectors[level, s, c, 2]
+                    term, slope = 0, first_slope
+                    for k in range(len(kinds)):
+                        side_i, side_o = scratch[1 + 2 * k], scratch[2 + 2 * k]
+                        # cells side by side in delta phi have these in common
+                        if side_i[0] != wi[2]:
+                            side_i[0] = wi[2]
+                            lobe_side(kinds[k], packed[k], tangents[k], wi, side_i[1:])
+                        if side_o[0] != wo[2]:
+                            side_o[0] = wo[2]
+                            lobe_side(kinds[k], packed[k], tangents[k], wo, side_o[1:])
+                        values = lobe_terms_of_sides(kinds[k], packed[k], wi, wo, side_i[1:], side_o[1:])
+                        out[n, term] += w * values[0]
                         if counts[k, 0] == 2:
-                            v[slope + 1] += w * scratch[0, 2 * j + 1]
-                        slope += counts[k, 0]
+                            out[n, term + 1] += w * values[1]
+                        term += counts[k, 0]
+                        if not slopes or counts[k, 1] == 0:
+                            continue
+                        if values[0] == 0.0 and values[1] == 0.0:  # nothing here, nor near here
+                            slope += counts[k, 0] * counts[k, 1]
+                            continue
+                        lobe_slopes(
+                            kinds[k],
+                            packed[k],
+                            tangents[k],
+                            wi,
+                            wo,
+                            values,
+                            side_i[1:],
+                            side_o[1:],
+                            scratch[0],
+                        )
+                        for j in range(counts[k, 1]):
+                            out[n, slope] += w * scratch[0, 2 * j]
+                            if counts[k, 0] == 2:
+                                out[n, slope + 1] += w * scratch[0, 2 * j + 1]
+                            slope += counts[k, 0]
 
 
 @kernel
@@ -188,14 +206,17 @@ def _moments(
     In arrays of its own: threads that write side by side in memory wait for each other, at twice the time.
     """
     terms, channels = factors.shape[0], values.shape[1]
-    v, scratch = np.empty(size), new_scratch(tangents)
+    block, scratch = np.empty((BLOCK, size)), new_scratch(tangents)
     objective, right, gram = np.zeros(channels), np.zeros((channels, size)), np.zeros((grams, size, size))
     shared = weights.shape[1] == 1
     for n in range(len(cells)):
-        level = np.int64(levels[n])
-        average(
-            kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells[n], level, slopes, scratch, v
-        )  # fmt: skip
+        at = n % BLOCK
+        if at == 0:
+            averages(
+                kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells[n : n + BLOCK],
+                levels[n : n + BLOCK], n, 1 if slopes else 0, scratch, block,
+            )  # fmt: skip
+        v = block[at]
         for channel in range(channels):
             model = 0.0
             for t in range(terms):
