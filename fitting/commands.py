@@ -24,6 +24,7 @@ from microgeometry.errors import InputError
 BENCHMARKS["fit"] = "fitting.bench"
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
+_CHANNELS = 8  # told in words; of more the first, the middle one and the last
 
 
 @click.command("fit")
@@ -106,7 +107,10 @@ def _tell(result: Fit) -> None:
     for lobe, shape in zip(result.lobes, shapes, strict=True):
         click.echo(f"{lobe.name}{': ' + ', '.join(shape) if shape else ''}")
         for name, by_channel in lobe.coefficients.items():
-            click.echo(f"  {name}: " + ", ".join(number(c, v) for c, v in by_channel.items()))
+            values = [number(c, v) for c, v in by_channel.items()]
+            if len(values) > _CHANNELS:
+                values = [values[0], "...", values[len(values) // 2], "...", values[-1]]
+            click.echo(f"  {name}: " + ", ".join(values))
     click.echo(
         f"minimised {result.objective}; " + ", ".join(f"{k} {v:.4g}" for k, v in result.residuals.items())
     )
@@ -139,6 +143,7 @@ def _rank(name: str, fits: list[Fit]) -> None:
         click.echo(
             f"{rank:4}  {each.model:48}{above:12.4g}{each.residuals['relative_ngan_l2']:16.4f}"
             f"{each.residuals['low_log']:11.4g}{each.albedo['largest']:9.3f}{each.seconds:7.2f}"
+            + ("" if each.albedo["conserves_energy"] else "  creates energy")
         )
 
 

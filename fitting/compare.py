@@ -92,7 +92,8 @@ def fit_models(
 ) -> list[Fit]:
     """Fit several models, and rank them by the criterion, the best first.
 
-    A model without glossy lobes is fitted once, whatever the numbers of lobes.
+    A model without glossy lobes is fitted once, whatever the numbers of lobes; two that come to the same number,
+    as "auto" may to another, are one.
     """
     samples = data if isinstance(data, Samples) else Samples.of_table(data)
     tasks = []
@@ -104,7 +105,8 @@ def fit_models(
         fits.append(fit_lobes(samples, name, count, **options))
         if progress is not None:
             progress((n + 1) / len(tasks), f"{n + 1} of {len(tasks)}: {fits[-1].model}")
-    return sorted(fits, key=lambda f: float("inf") if f.criterion is None else f.criterion)
+    once = {f.model: f for f in reversed(fits)}.values()
+    return sorted(once, key=lambda f: float("inf") if f.criterion is None else f.criterion)
 
 
 def _below(one: Fit, other: Fit) -> bool:

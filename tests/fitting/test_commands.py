@@ -48,6 +48,29 @@ def test_fit_writes_json_and_prints_it(tmp_path: Path) -> None:
     assert "above 80 degrees" in words
 
 
+def test_of_many_channels_a_few_are_told(tmp_path: Path) -> None:
+    one, channels = gold(0.4).table(grid(3, 6, 8)), tuple(f"{n} nm" for n in range(400, 411))
+    Table(
+        values=one.values[..., [0] * 11],
+        theta_i=one.theta_i,
+        theta_r_edges=one.theta_r_edges,
+        delta_phi_edges=one.delta_phi_edges,
+        channels=channels,
+        row_albedo=one.row_albedo[:, [0] * 11],
+        theta_i_edges=one.theta_i_edges,
+        wavelengths_nm=tuple(range(400, 411)),
+    ).save(tmp_path / "T.h5")
+    told = run(fit_command, tmp_path / "T.h5", "--model", "lambert", "-o", tmp_path / "F.json")
+    assert told.exception is None, told.exception
+    assert [word in told.stdout for word in ("400 nm 0.", "405 nm 0.", "410 nm 0.", "401 nm")] == [
+        True,
+        True,
+        True,
+        False,
+    ]
+    assert len(Fit.load(tmp_path / "F.json").lobes[0].coefficients["albedo"]) == 11
+
+
 def test_tabulate_a_hand_written_file(tmp_path: Path) -> None:
     content = {
         "model": "cook_torrance_ggx",

@@ -48,6 +48,13 @@ def test_automatic_lobes_stop_at_the_truth(truth: str, lobes: int) -> None:
 
 
 @pytest.mark.compiled
+def test_numbers_of_lobes_that_come_to_the_same_are_ranked_once() -> None:
+    table = noisy("cook_torrance_ggx")
+    found = fit_models(table, ["cook_torrance_ggx"], (1, "auto"))
+    assert [each.model for each in found] == ["cook_torrance_ggx"]
+
+
+@pytest.mark.compiled
 def test_automatic_lobes_of_a_diffuse_model() -> None:
     assert fit_lobes(noisy("oren_nayar"), "oren_nayar", "auto").model == "oren_nayar"
 
