@@ -96,7 +96,7 @@ def read(group: h5py.Group, path: Path, where: str = "", shared: Content | None 
         record = {**unpack_record(packed), **(shared or {})}
         fields = _checked(record)
         names = [str(name) for name in record["parts"]]
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
         reason = f"{error} is missing" if isinstance(error, KeyError) else error
         raise InputError(
             f"{path}: {where}{_NAME}: damaged content ({reason}); compress the table again"

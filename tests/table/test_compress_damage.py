@@ -34,6 +34,7 @@ DAMAGE = {
     "no method": ("dct", drop("content/method"), "method None is unknown"),
     "no step": ("dct", drop("content/step"), "damaged content"),
     "count": ("dct", put("content/count", 10**12), "damaged content"),
+    "endless count": ("dct", put("content/count", float("inf")), "damaged content"),
     "scale": ("dct", put("content/scale", np.ones((2, 2), "f4")), "damaged content"),
     "nan": ("dct", put("content/scale", np.full((30, 3), np.nan, "f4")), "damaged content"),
     "zeros": ("dct", put("content/zeros", np.zeros(50, np.uint8)), "damaged content"),
