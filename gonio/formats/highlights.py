@@ -148,6 +148,6 @@ def _averages(
     theta, phi = np.broadcast_arrays(theta[:, :, None], phi[:, None, :])
     x, y, z = np.moveaxis(direction(theta_i) + direction(theta, phi), -1, 0)
     inside = (x**2 + y**2 <= (extent * z) ** 2).reshape(len(rings), -1, 1)
-    f = 0.5 * sum(brdf(theta_i, theta.ravel(), side.ravel()) for side in (phi, -phi))
-    f = f.reshape(*inside.shape[:2], -1)
+    one, other = (brdf(theta_i, theta.ravel(), side.ravel()) for side in (phi, -phi))
+    f = (0.5 * (one + other)).reshape(*inside.shape[:2], -1)
     return (f * inside).mean(axis=1), (f * ~inside).mean(axis=1)
