@@ -54,6 +54,11 @@ DAMAGE = {
     "basis": ("low_rank", put("content/basis", np.ones((31, 2), "f4")), "damaged content"),
     "weights": ("low_rank", put("content/weights", np.zeros(31, "f4")), "damaged content"),
     "huge basis": ("low_rank", put("content/basis", np.full((31, 2), 9, "f4")), "damaged content"),
+    "axis of nan": (
+        "low_rank",
+        put("theta_r_edges", np.full(31, np.nan)),
+        "damaged content .axes that are not angles",
+    ),
     "no axis": ("tree", drop("theta_i"), "damaged content .'theta_i' is missing"),
     "text axis": ("tree", put("theta_i", "hello"), "compressed/theta_i is no array"),
     "single edge": ("tree", put("theta_r_edges", np.array(3.0)), "theta_r_edges is a single number"),
