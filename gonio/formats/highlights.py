@@ -68,6 +68,8 @@ def resolved(table: Table, brdf: Brdf) -> Table:
             found = areas[inside] @ within
             scale = np.divide(energy.sum(axis=(0, 1)), found, out=np.ones_like(found), where=found > 0)
             values[row, inside] += share * (within * scale + around)
+    if table.gaps is not None:
+        values[table.gaps] = 0.0
     albedo = np.einsum("irpc,rp->ic", values, areas)
     return table.replace(values=values, row_albedo=albedo, peak=Peak(g, *grid))
 

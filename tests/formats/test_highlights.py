@@ -8,6 +8,7 @@ import pytest
 from gonio import formats
 from gonio.bench.peak import relative_error, rough_metal
 from gonio.core.directions import direction
+from gonio.formats import merl
 from gonio.formats.cells import average_cells, table_of
 from gonio.formats.highlights import highlight_alpha, resampling_error, resolved
 from gonio.table.table import Table
@@ -76,6 +77,16 @@ def test_the_error_of_resampling():
     assert before[0] > 0.5
     assert after[0] < 0.02
     assert after[1] < 0.05
+
+
+@pytest.mark.slow
+def test_a_merl_file(tmp_path):
+    """Bins of 0.01 degree at the mirror direction hold highlights that cells of a degree do not."""
+    merl.write_function(lambda wi, wo: rough_metal(wi, wo, 0.01)[:, None], tmp_path / "t.binary")
+    table = merl.read(tmp_path / "t.binary")
+    assert table.peak is not None
+    assert resampling_error(table, merl.brdf_of(tmp_path / "t.binary"))[0] < 0.12  # its steps
+    assert resampling_error(table.replace(peak=None), merl.brdf_of(tmp_path / "t.binary"))[0] > 0.3
 
 
 @pytest.mark.slow
