@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 BINS = 1800  # of tilt, 0.05 degrees each
 STEP = 0.5 * math.pi / BINS
 _ROUNDS = 64, 1024  # of picks, at least and at most: the looks at a node and batch near the horizon
+_PARTS = 16  # in which tilts are measured
 _PATHS_PER_ROUND = 512  # looking then takes about as long as tracing (measured)
 # tilts in units of alpha; beyond the last, at exp(-9) of the peak, visibility is taken as there
 _TILTS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.35, 2.7, 3.0)
@@ -111,10 +112,20 @@ def measure_facets(
     rounds = int(np.clip(paths // _PATHS_PER_ROUND, *_ROUNDS))
     low, high = places.tilt - places.window, places.tilt + places.window
     tilts = np.empty((z.size, 2), np.float32)
-    members = np.zeros(len(low), np.int64)
+    edges = np.linspace(0, nx, min(nx, _PARTS) + 1).astype(int).tolist()
+    parts = len(edges) - 1
+    area, window_area = np.zeros((parts, BINS)), np.zeros((parts, len(low)))
+    found = np.zeros((parts, len(low)), np.int64)
+
+    def tilt(n: int) -> None:
+        measure_tilts(
+            relief, edges[n], edges[n + 1], STEP, tilts, area[n], low, high, found[n], window_area[n]
+        )
+
+    for_each(tilt, parts, threads)
     packed = np.zeros(PACKED)
     sums = FacetSums.unpack(packed)
-    measure_tilts(relief, STEP, tilts, sums.area, low, high, members, sums.window_area)
+    sums.area[:], sums.window_area[:], members = area.sum(axis=0), window_area.sum(axis=0), found.sum(axis=0)
     looks = np.zeros(SHAPE, np.int64)
 
     def look(a: int) -> int:

@@ -15,7 +15,7 @@ from gonio.interrupt import uninterrupted
 from gonio.trace.batch import BatchTracer, Job
 from gonio.trace.combine import combine
 from gonio.trace.errors import TraceError
-from gonio.trace.estimators import ANALOG, FEW_FACETS, NEXT_EVENT, choose
+from gonio.trace.estimators import HALF_VECTOR, NEXT_EVENT, choose
 from gonio.trace.next_event_cells import JoinedSheet
 from gonio.trace.sheets import Sheet
 from gonio.trace.stopping import Schedule, Verdict, check_target, judge
@@ -66,7 +66,7 @@ class Measurement:
     half_vector : HalfVector or None
         Of single bounces, where these are not taken from the paths.
     averages : bool
-        Whether tables are averaged by reciprocity (`gonio.trace.reciprocal`): of binned paths, unless told to bin.
+        Whether tables are averaged by reciprocity (`gonio.trace.reciprocal`): unless told which estimator.
     schedule : Schedule
     plan : dict
         The arguments that the result depends on.
@@ -100,7 +100,7 @@ class Measurement:
         self.target_error = None if target_error is None else check_target(target_error)
         told = estimator is not None
         estimator = choose(specimen, seed, estimator)
-        self.averages = not told and estimator in (ANALOG, FEW_FACETS)
+        self.averages = not told and estimator != HALF_VECTOR
         self.plan = {
             "seed": seed,
             "rays": rays,

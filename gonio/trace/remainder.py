@@ -77,38 +77,40 @@ def spread(
     by_phi = {n: _azimuth_weights(n, phi_edges, delta_phi) for n in set(sectors)}
     mirror = {n: _azimuth_weights(n, phi_edges, math.pi - delta_phi) for n in set(sectors)}
     ahead, across = _polar_weights(centres, theta_r)
-    to_row: list[list[tuple[int, float, bool]]]
+    # of each block along theta_i: the rows it goes to, their weights, and whether over the pole
+    to_rows: list[list[tuple[int, float, bool]]]
     if theta_i is None:
-        to_row = [[(row, 1.0, False)] for row in range(len(values))]
+        to_rows = [[(row, 1.0, False)] for row in range(len(values))]
         rows = [len(phi_edges) - 1] * len(values)
     else:
-        row_ahead, row_across = _polar_weights(centres, theta_i)
-        to_row = [
-            [
-                (int(a), float(w[a]), flip)
-                for flip, w in ((False, row_ahead[i]), (True, row_across[i]))
-                for a in np.flatnonzero(w)
-            ]
-            for i in range(len(theta_i))
+        weights = list(zip((False, True), _polar_weights(centres, theta_i), strict=True))
+        to_rows = [
+            [(int(i), float(w[i, a]), flip) for flip, w in weights for i in np.flatnonzero(w[:, a])]
+            for a in range(len(centres))
         ]
         rows = sectors
-    shape = len(to_row), len(theta_r), len(delta_phi), values.shape[3]
-    mean, square = np.zeros(shape), np.zeros(shape)
-    for i, blocks in enumerate(to_row):
-        for a, weight, flip in blocks:
-            for b in range(len(centres)):
-                n = min(rows[a], sectors[b])
-                for use, w, other in (
-                    (by_phi[n], ahead[:, b], mirror[n]),
-                    (mirror[n], across[:, b], by_phi[n]),
-                ):
-                    reached = np.flatnonzero(w)
-                    if len(reached) == 0:
-                        continue
-                    to_phi = other if flip else use
-                    w = weight * w[reached]
-                    mean[i, reached] += w[:, None, None] * (to_phi @ values[a, b])
-                    square[i, reached] += (w**2)[:, None, None] * (to_phi**2 @ variance[a, b])
+    shape = len(values) if theta_i is None else len(theta_i), len(theta_r), len(delta_phi)
+    mean, square = np.zeros((2, *shape, values.shape[3]))
+
+    def to_cells(block: Array, most: int, power: int, flip: bool) -> Array:
+        """One block along theta_i, shape (R, P, C), at all cells, (r, p, C); weights to some power."""
+        out = np.zeros((*shape[1:], block.shape[2]))
+        near, beyond = (mirror, by_phi) if flip else (by_phi, mirror)
+        for b, sector in enumerate(sectors):
+            n = min(most, sector)
+            for w, azimuths in ((ahead[:, b], near), (across[:, b], beyond)):
+                reached = np.flatnonzero(w)
+                if len(reached):
+                    out[reached] += (w[reached] ** power)[:, None, None] * (azimuths[n] ** power @ block[b])
+        return out
+
+    for a, targets in enumerate(to_rows):
+        for flip in {flip for _, _, flip in targets}:
+            for sums, blocks, power in ((mean, values, 1), (square, variance, 2)):
+                cells = to_cells(blocks[a], rows[a], power, flip)
+                for i, weight, over_pole in targets:
+                    if over_pole == flip:
+                        sums[i] += weight**power * cells
     return np.maximum(mean, 0.0), np.sqrt(square)
 
 

@@ -12,7 +12,7 @@ paths): with one more batch, V becomes (T^2 V + variance of the batch) / (T + 1)
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,23 @@ class RowCounts:
         """From sums of squared deviations, shape (rows, ...), to the variance of the mean."""
         scale = 1.0 / (np.maximum(self.weight - 1.0, 1.0) * np.maximum(self.weight, 1.0))
         return squares * scale.reshape(-1, *[1] * (squares.ndim - 1))
+
+
+class Slots(NamedTuple):
+    """Where `Tally.accumulators` hold rows that took part in a batch; all of shape (n,).
+
+    `first` is a row's first slot and `last` the one after its last; `scale` is 1 / its paths.
+    """
+
+    rows: NDArray[np.int64]
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+    scale: Array
+
+    def part(self, begin: int, end: int) -> Slots:
+        """Of these, the rows from `begin` to before `end`."""
+        some = slice(begin, end)
+        return Slots(self.rows[some], self.first[some], self.last[some], self.scale[some])
 
 
 class Sheet(Protocol):
@@ -150,42 +167,47 @@ class SheetTally:
         self._row_fourth[row] *= factor * factor
         self._cells_fourth[row] *= factor * factor
 
-    def add_energies(self, row: int, specular: Array, energy: Array, scale: float) -> None:
-        """Add a row's energies to the batch begun, its slots of `Tally.accumulators`; scale = 1 / paths."""
+    def add_energies(self, slots: Slots, specular: Array, energy: Array) -> None:
+        """Add rows' energies to the batch begun, from `Tally.accumulators`."""
         mine = slice(self._first, self._first + self._count)
-        delta_term, total = (a[:, :, mine].sum(axis=(0, 1, 2)) for a in (specular, energy))
-        value = np.concatenate([delta_term, total, total - delta_term]) * scale
-        delta = value - self._row_mean[row]
-        self._row_mean[row] += delta / self._counts.weight[row]
-        increase = delta * (value - self._row_mean[row])
-        self._row_square[row] += increase
-        self._row_fourth[row] += increase**2
+        rows, weight = slots.rows, self._counts.weight[slots.rows, None]
+        delta_term, total = (
+            np.add.reduceat(a[:, :, mine].sum(axis=(1, 2)), slots.first) for a in (specular, energy)
+        )
+        value = np.concatenate([delta_term, total, total - delta_term], axis=1) * slots.scale[:, None]
+        delta = value - self._row_mean[rows]
+        self._row_mean[rows] += delta / weight
+        increase = delta * (value - self._row_mean[rows])
+        self._row_square[rows] += increase
+        self._row_fourth[rows] += increase**2
 
-    def add_cells(self, row: int, cells: Array, scale: float) -> None:
-        """Add a row's cells to the batch begun, its slots of `Tally.accumulators`; scale = 1 / paths.
+    def add_cells(self, slots: Slots, cells: Array) -> None:
+        """Add rows' cells to the batch begun, from `Tally.accumulators`.
 
-        Sums are gathered in chunk 0 of the first slot and sheet; the accumulators they come from are cleared.
+        Sums are gathered in chunk 0 of a row's first slot and sheet; the accumulators they come from are cleared.
         """
-        slots, chunks, sheets = cells.shape[:3]
+        rows, (_, chunks, sheets) = slots.rows, cells.shape[:3]
         slabs = cells.reshape(-1, *cells.shape[3:])
+        begin = slots.first * chunks * sheets + self._first
         if self._count == 1:
-            last, step = slots * chunks * sheets, sheets  # the sheet in all chunks, in their order
+            end, step = slots.last * chunks * sheets, sheets  # the sheet in all chunks, in their order
         else:
-            last, step = self._first + self._count, 1  # the sheets' own sums, in chunk 0
-        increase = np.zeros(self._mean.shape[2])
+            end, step = begin + self._count, 1  # the sheets' own sums, in chunk 0
+        increase = np.zeros((len(rows), self._mean.shape[2]))
+        weight = self._counts.weight[rows]
         _add_cells(
-            slabs, self._first, last, step, scale, self._counts.weight[row],
-            self._mean[row], self._square[row], self.hits[row], increase,
-        )  # fmt: skip
-        self._cells_square[row] += increase
-        self._cells_fourth[row] += increase**2
+            slabs, rows, begin, end, step, slots.scale, weight, self._mean, self._square, self.hits, increase
+        )
+        self._cells_square[rows] += increase
+        self._cells_fourth[rows] += increase**2
         if self._joint.shape[1]:
-            values = slabs[self._first, :, :-1] * scale
-            total = values.sum(axis=0)
-            delta = total - self._sum_mean[row]
-            self._sum_mean[row] += delta / self._counts.weight[row]
-            self._sum_square[row] += delta * (total - self._sum_mean[row])
-            self._joint[row] += delta * (values - self._mean[row])
+            for row, slab, scale in zip(rows, begin, slots.scale, strict=True):
+                values = slabs[slab, :, :-1] * scale
+                total = values.sum(axis=0)
+                delta = total - self._sum_mean[row]
+                self._sum_mean[row] += delta / self._counts.weight[row]
+                self._sum_square[row] += delta * (total - self._sum_mean[row])
+                self._joint[row] += delta * (values - self._mean[row])
 
     def cells(self, projected_solid_angles: Array, first: int = 0) -> tuple[Array, Array]:
         """Mean BRDF of every cell and its standard error, 1/sr, shape (rows, rings, sectors, channels) each.
@@ -292,25 +314,27 @@ class SheetTally:
 
 
 @kernel(allocates=False)
-def _add_cells(slabs, first, last, step, scale, weight, mean, square, hits, increase):
-    """Welford's update of every cell with the sum over slabs first, first + step, ... before last.
+def _add_cells(slabs, rows, begin, end, step, scale, weight, mean, square, hits, increase):
+    """Welford's update of rows' cells with the sums over their slabs begin, begin + step, ... before end.
 
-    The sum is left in slab `first`, the other slabs are cleared. `increase`, shape (channels,), gets what
+    A row's sum is left in its first slab, the others are cleared. `increase`, shape (rows, channels), gets what
     all cells together add to their sums of squares.
     """
     _, count, columns = slabs.shape
-    for cell in range(count):
-        for slab in range(first + step, last, step):
-            for column in range(columns):
-                slabs[first, cell, column] += slabs[slab, cell, column]
-                slabs[slab, cell, column] = 0.0
-        hits[cell] += int(slabs[first, cell, columns - 1])
-        if hits[cell] == 0:
-            continue
-        for channel in range(columns - 1):
-            value = slabs[first, cell, channel] * scale
-            delta = value - mean[cell, channel]
-            mean[cell, channel] += delta / weight
-            added = delta * (value - mean[cell, channel])
-            square[cell, channel] += added
-            increase[channel] += added
+    for n in range(len(rows)):
+        row, first = rows[n], begin[n]
+        for cell in range(count):
+            for slab in range(first + step, end[n], step):
+                for column in range(columns):
+                    slabs[first, cell, column] += slabs[slab, cell, column]
+                    slabs[slab, cell, column] = 0.0
+            hits[row, cell] += int(slabs[first, cell, columns - 1])
+            if hits[row, cell] == 0:
+                continue
+            for channel in range(columns - 1):
+                value = slabs[first, cell, channel] * scale[n]
+                delta = value - mean[row, cell, channel]
+                mean[row, cell, channel] += delta / weight[n]
+                added = delta * (value - mean[row, cell, channel])
+                square[row, cell, channel] += added
+                increase[n, channel] += added

@@ -15,9 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from gonio.core.parallel import for_each
 from gonio.trace.binning import LEDGER, LEDGER_COLUMNS, RAYS
-from gonio.trace.sheets import RowCounts, SheetTally
+from gonio.trace.sheets import RowCounts, SheetTally, Slots
 
 Array = NDArray[np.float64]
+
+_UNITS = 16  # in which rows are closed: enough to share, few enough to cost nothing
 
 
 class Tally:
@@ -119,22 +121,23 @@ class Tally:
         last = np.cumsum(passes)
         self.batches += 1
         rescale = self.rows.begin_batch(passes, paths_per_pass)
+        rows = np.flatnonzero(passes)
+        slots = Slots(rows, last[rows] - passes[rows], last[rows], 1.0 / (passes[rows] * paths_per_pass))
         # orders first: totals add up their sums
         sheets = [*self._order_sheets(), *self.totals]
+        for sheet in sheets:
+            for row in np.flatnonzero(rescale != 1.0):
+                sheet.rescale(int(row), float(rescale[row]))
+            sheet.add_energies(slots, self._specular, self._energy)
+        units = min(len(rows), _UNITS)
 
-        def close(row: int) -> None:
-            if passes[row] == 0:
-                return
-            mine = slice(int(last[row] - passes[row]), int(last[row]))
-            scale = 1.0 / (int(passes[row]) * paths_per_pass)
+        def close(unit: int) -> None:
+            some = slots.part(unit * len(rows) // units, (unit + 1) * len(rows) // units)
             for sheet in sheets:
-                if rescale[row] != 1.0:
-                    sheet.rescale(row, float(rescale[row]))
-                sheet.add_energies(row, self._specular[mine], self._energy[mine], scale)
-                sheet.add_cells(row, self._cells[mine], scale)
-            self._cells[mine.start, 0] = 0.0
+                sheet.add_cells(some, self._cells)
+            self._cells[some.first, 0] = 0.0
 
-        for_each(close, len(passes), threads)
+        for_each(close, units, threads)
         ledger = self._ledger.sum(axis=(0, 1))
         self.ledger["paths"] += paths_per_pass * int(last[-1])
         for column, name in self._columns.items():

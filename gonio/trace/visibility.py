@@ -58,12 +58,14 @@ def _inverse_smith(alpha, i, o):
 
 
 @kernel(allocates=False)
-def measure_tilts(relief, step, tilts, areas, windows_low, windows_high, members, window_areas):
-    """Tilt of every facet, and area by tilt.
+def measure_tilts(relief, first, last, step, tilts, areas, windows_low, windows_high, members, window_areas):
+    """Tilt of every facet in some columns of quads, and area by tilt.
 
     Parameters
     ----------
     relief : Relief
+    first, last : int
+        Columns, along x: first ... last - 1.
     step : float
         Width of the bins of `areas`, radians.
     tilts : ndarray of float32, shape (nx ny, 2)
@@ -77,9 +79,9 @@ def measure_tilts(relief, step, tilts, areas, windows_low, windows_high, members
     window_areas : ndarray, shape (A,)
         Their area is added.
     """
-    nx, ny = relief.heights.shape
-    last = areas.shape[0] - 1
-    for i in range(nx):
+    ny = relief.heights.shape[1]
+    steepest = areas.shape[0] - 1
+    for i in range(first, last):
         for j in range(ny):
             for half in range(2):
                 dx, dy = _slopes(relief, i, j, half)
@@ -87,7 +89,7 @@ def measure_tilts(relief, step, tilts, areas, windows_low, windows_high, members
                 tilt = math.atan(math.sqrt(slope2))
                 area = math.sqrt(1.0 + slope2)
                 tilts[i * ny + j, half] = tilt
-                areas[min(int(tilt / step), last)] += area
+                areas[min(int(tilt / step), steepest)] += area
                 for a in range(members.shape[0]):
                     if windows_low[a] <= tilts[i * ny + j, half] < windows_high[a]:
                         members[a] += 1

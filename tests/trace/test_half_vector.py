@@ -214,7 +214,7 @@ def test_area_by_tilt_is_that_of_the_facets():
     members = np.zeros(1, np.int64)
     tilts = np.empty((nx * ny, 2), np.float32)
     low, high = np.array([0.2]), np.array([0.4])
-    measure_tilts(relief, STEP, tilts, area, low, high, members, window_area)
+    measure_tilts(relief, 0, len(relief.heights), STEP, tilts, area, low, high, members, window_area)
     tilt = np.arccos(normals[:, 2])
     share = areas / (tile.size[0] * tile.size[1]) * 2 * nx * ny
     # a facet on the edge of a bin may fall on either side: compare sums up to each edge

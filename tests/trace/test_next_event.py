@@ -30,7 +30,8 @@ def medium(**keys):
 
 
 def specimen(*layers, folder=".", **grid):
-    return parse_specimen({"layer": list(layers), "grid": {**GRID, **grid}}, folder)
+    keys = {name: value for name, value in {**GRID, **grid}.items() if value is not None}
+    return parse_specimen({"layer": list(layers), "grid": keys}, folder)
 
 
 RAYLEIGH_SLAB = (

@@ -8,11 +8,12 @@ import pytest
 from gonio.core.directions import projected_solid_angles
 from gonio.table.checks.reciprocity import check_reciprocity
 from gonio.table.table import Table
-from gonio.trace.estimators import ANALOG
+from gonio.trace.estimators import ANALOG, NEXT_EVENT
 from gonio.trace.measure import measure
 from gonio.trace.measurement import Measurement
 from gonio.trace.reciprocal import reciprocal
 from microgeometry.specimen import parse_specimen
+from tests.trace import test_next_event
 
 METAL = {"kind": "conductor", "eta": 1.0, "k": 2.0}
 SURFACE = {
@@ -28,8 +29,8 @@ def specimen(surface=SURFACE, material=METAL, **grid):
     return parse_specimen({"surface": surface, "material": material, "grid": keys})
 
 
-def traced(spec, rays, seed=0):
-    measurement = Measurement(spec, rays, seed, estimator=ANALOG)
+def traced(spec, rays, seed=0, estimator=ANALOG):
+    measurement = Measurement(spec, rays, seed, estimator=estimator)
     while not measurement.schedule.over:
         measurement.add_batch()
     table = measurement.table()
@@ -135,8 +136,41 @@ def test_half_the_variance_and_intervals_that_cover(surface, rays):
     # the pole's small cells gain from the large ones of its row that they are exchanged with, 7 times as large and more
     before, after = (np.mean([t.std_error[3:7, 0] for t in tables]) for tables in zip(*runs, strict=True))
     assert after < 0.6 * before
-    share = [np.mean((np.abs(v - truth) <= 1.96 * np.sqrt(1 - 1 / 20) * e)[asked]) for v, e in
-             zip(values, errors, strict=True)]  # fmt: skip
-    mean, error = np.mean(share), np.std(share, ddof=1) / np.sqrt(20)
+    assert_covered(values, errors, truth, asked)
+
+
+def assert_covered(values, errors, truth, asked):
+    """Between 93 and 97 % of intervals hold the truth, the mean of all runs; within three errors of that share."""
+    runs = len(values)
+    allowed = 1.96 * np.sqrt(1 - 1 / runs)
+    share = [np.mean((np.abs(v - truth) <= allowed * e)[asked]) for v, e in zip(values, errors, strict=True)]
+    mean, error = np.mean(share), np.std(share, ddof=1) / np.sqrt(runs)
+    print(f"{mean:.3f} +- {error:.3f}")
     assert mean + 3 * error > 0.93
     assert mean - 3 * error < 0.97
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", ["gaussian", "forward"])
+def test_next_event_estimates_are_weighed_by_their_errors(name):
+    """Half the variance but for points that serve both rows, and for the counted energy of the row."""
+    spec = test_next_event.specimen(*test_next_event.CASES[name], theta_i_deg=None)
+    runs = [traced(spec, 4000, seed, NEXT_EVENT) for seed in range(30)]
+    raw, values, errors = (
+        np.array([getattr(t[n], a) for t in runs])[..., 0]
+        for n, a in ((0, "values"), (1, "values"), (1, "std_error"))
+    )
+    truth = 0.5 * (raw.mean(0) + raw.mean(0).swapaxes(0, 1))
+    asked = np.broadcast_to(~np.eye(len(truth), dtype=bool)[..., None], truth.shape)
+    assert np.mean([after is not before for before, after in runs]) > 0.9
+    square = [np.median((v.var(0, ddof=1) / truth**2)[asked]) for v in (raw, values)]
+    print(f"{name}: {square[1] / square[0]:.3f} of the variance")
+    assert square[1] < 0.75 * square[0]
+    assert_covered(values, errors, truth, asked)
+
+
+@pytest.mark.compiled
+def test_next_event_estimates_below_a_mirror_stay():
+    spec = test_next_event.specimen(*test_next_event.CASES["rayleigh"], theta_i_deg=None)
+    before, after = traced(spec, 4000, 0, NEXT_EVENT)
+    assert after is before
