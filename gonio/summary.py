@@ -75,7 +75,7 @@ def anisotropic_summary_text(data: Mapping[str, Any]) -> str:
         f"{cells[0]} x {cells[1]} cells ({data['bytes_in_memory'] / 1e6:.1f} MB in memory)",
         *_history_lines(data),
     ]
-    columns = np.unique(np.linspace(0, n_phi, 6, endpoint=False).round().astype(int))
+    columns = np.unique(np.linspace(0, n_phi, 6, endpoint=False).astype(int))
     azimuths = "".join(f"{data['phi_i_deg'][b]:9.4g}" for b in columns)
     for name, whole in _with_transmission(data):
         lines.append(f"theta_i  {name}, mean over channels, at phi_i, degrees: {azimuths.strip()}")

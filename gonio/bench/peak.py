@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.special import erfc
 
 from gonio.core.directions import direction, projected_solid_angles
-from gonio.table.peak import Peak, visible_points
+from gonio.table.peak import Peak, PeakGrid, grid_of, visible_points
 from gonio.table.table import Table
-from gonio.trace.peak_grid import WIDEST_ALPHA, PeakGrid, grid_of
+from gonio.trace.peak_grid import WIDEST_ALPHA
 
 Array = NDArray[np.float64]
 

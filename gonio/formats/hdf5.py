@@ -1,22 +1,21 @@
-"""The table's own format: HDF5 with dimension scales, version 1.3.
+"""The table's own format: HDF5 with dimension scales, version 1.4.
 
 Root attributes: ``format`` = "gonio-table", ``version``, ``conventions`` (angles and units in words), and
 ``ledger`` and ``provenance`` as JSON. Datasets carry the field names of `Table`, their ``units``, and a
 dimension scale on every axis, so that xarray opens the file with its coordinates. ``theta_r`` and
 ``delta_phi`` (cell centres) and ``channel`` exist as scales; the edges are what is read back.
 
-A table whose values are compressed has, in place of ``values``, a group ``compressed`` that
-`gonio.table.compress` decodes. The table's parts are groups ``parts/<name>`` of the same schema, each with
-its own scales, so that xarray opens a group like the file. A highlight on a grid of its own is the group
-``peak`` (see `gonio.table.peak`). Readers accept any minor version of their own major version.
+The table's parts are groups ``parts/<name>`` of the same schema, each with its own scales, so that xarray opens
+a group like the file. A highlight on a grid of its own is the group ``peak`` (see `gonio.table.peak`). Readers
+accept any minor version of their own major version. Compressed tables are laid out otherwise, for size
+(`gonio.formats.hdf5_compressed`); saved again they become plain ones.
 
-Version 1.1 added parts, version 1.2 the peak, version 1.3 the peak compressed.
+Version 1.1 added parts, version 1.2 the peak, version 1.4 compressed tables as they are now.
 """
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,17 +24,16 @@ import h5py
 import numpy as np
 
 from gonio.files import atomic
-from gonio.formats import hdf5_anisotropic
-from gonio.formats.hdf5_content import write_content
+from gonio.formats import hdf5_anisotropic, hdf5_compressed
 from gonio.formats.hdf5_data import at, child, read_array, read_channels, read_json, write_data, write_scale
 from gonio.formats.hdf5_heaps import check_heaps
 from gonio.table.anisotropic import AnisotropicTable
-from gonio.table.peak import Peak, slope_areas
+from gonio.table.peak import Peak
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
 FORMAT = "gonio-table"
-VERSION = "1.3"
+VERSION = "1.4"
 _CONVENTIONS = (
     "values are BRDF f_r in 1/sr without cosine, averaged over cells in projected solid angle; theta_i and "
     "theta_r are polar angles of the outward directions to light and detector; delta_phi = |phi_i - phi_r| "
@@ -66,8 +64,10 @@ _DATA: dict[str, tuple[tuple[str, ...], str]] = {
 _OPTIONAL = {"theta_i_edges", "std_error", "hits", "gaps", "wavelengths_nm"}
 _PEAK_SCALES = {"theta_i": "rad", "slope": "1", "psi": "rad", "slope_edges": "1", "psi_edges": "rad"}
 _PEAK_AXES = ("theta_i", "slope", "psi", "channel")
-_LARGEST = 2**30  # bytes of an array from a codec that can shrink without limit
 _MAX_DEPTH = 8  # of parts in parts: in a damaged file a group may hold itself
+
+
+Compressed = Mapping[str, Mapping[str, Any]]
 
 
 def write(table: Table | AnisotropicTable, path: Path, compressed: Compressed | None = None) -> list[str]:
@@ -78,9 +78,9 @@ def write(table: Table | AnisotropicTable, path: Path, compressed: Compressed | 
     table : Table or AnisotropicTable
     path : Path
     compressed : mapping of str to mapping, optional
-        Content of the group ``compressed`` that stands in for ``values``: arrays become datasets, numbers
-        and text attributes. One for the table, under "", and one for each of its parts, under its path
-        ("transmission/L1"). See `gonio.table.compress`.
+        What stands in for ``values`` in a compressed table (see `gonio.table.compress`): arrays, numbers and
+        text by their names. One for the table, under "", and one for each of its parts, under its path
+        ("transmission/L1").
 
     Returns
     -------
@@ -93,12 +93,19 @@ def write(table: Table | AnisotropicTable, path: Path, compressed: Compressed | 
         The disk is full or the folder missing; whatever stood under `path` before is still there.
     """
     # Built in memory: HDF5 does not survive a disk that fills while it writes, a plain write does
-    with h5py.File(path.name, "w", driver="core", backing_store=False, libver="v110") as file:
+    blocks = 2048 if compressed is None else 0  # of what describes the data
+    with h5py.File(
+        path.name, "w", driver="core", backing_store=False, libver="v110", meta_block_size=blocks
+    ) as file:
         if isinstance(table, AnisotropicTable):
             hdf5_anisotropic.write(file, table)
+        elif compressed is not None:
+            # texts of a fixed length: others take a heap of 4 kB
+            file.attrs.update(format=np.bytes_(FORMAT), version=np.bytes_(VERSION))
+            hdf5_compressed.write(file, table, compressed)
         else:
             file.attrs.update(format=FORMAT, version=VERSION, conventions=_CONVENTIONS)
-            _write(file, table, compressed)
+            _write(file, table)
         file.flush()
         image = file.id.get_file_image()
     with atomic(path) as temporary:
@@ -123,7 +130,7 @@ def read(path: Path) -> Table | AnisotropicTable:
         with h5py.File(path, "r") as file:
             if _is_anisotropic(file, path):
                 return hdf5_anisotropic.read(file, path)
-            return _read(file, path)
+            return hdf5_compressed.read(file, path) if hdf5_compressed.holds(file) else _read(file, path)
     except InputError as error:
         text = str(error)
         raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
@@ -140,33 +147,25 @@ def read(path: Path) -> Table | AnisotropicTable:
         ) from error
 
 
-Compressed = Mapping[str, Mapping[str, Any]]
-
-
-def _write(group: h5py.Group, table: Table, compressed: Compressed | None, path: str = "") -> None:
+def _write(group: h5py.Group, table: Table) -> None:
     """Write a table and its parts into the file, or a part into its group."""
-    content = None if compressed is None else compressed[path]
     group.attrs.update(ledger=json.dumps(dict(table.ledger)), provenance=json.dumps(dict(table.provenance)))
     for name, unit in _SCALES.items():
         if (axis := getattr(table, name)) is not None:
             write_scale(group, name, axis, unit)
     write_scale(group, "channel", np.array(table.channels, h5py.string_dtype()), "")
     for name, (axes, unit) in _DATA.items():
-        data = getattr(table, name)
-        if data is None or (name == "values" and content is not None):
-            continue
-        write_data(group, name, np.asarray(data), axes, unit)
+        if (data := getattr(table, name)) is not None:
+            write_data(group, name, np.asarray(data), axes, unit)
     if table.peak is not None:
-        _write_peak(group.create_group("peak"), table, table.peak, content is not None)
-    if content is not None:
-        write_content(group.create_group("compressed"), content)
+        _write_peak(group.create_group("peak"), table, table.peak)
     if table.parts:
         parts = group.create_group("parts", track_order=True)
         for name, part in table.parts.items():
-            _write(parts.create_group(name), part, compressed, f"{path}/{name}".lstrip("/"))
+            _write(parts.create_group(name), part)
 
 
-def _write_peak(group: h5py.Group, table: Table, peak: Peak, compressed: bool) -> None:
+def _write_peak(group: h5py.Group, table: Table, peak: Peak) -> None:
     middles = {
         name: 0.5 * (e[1:] + e[:-1]) for name, e in (("slope", peak.slope_edges), ("psi", peak.psi_edges))
     }
@@ -180,20 +179,15 @@ def _write_peak(group: h5py.Group, table: Table, peak: Peak, compressed: bool) -
         write_scale(group, name, scales[name], unit)
     write_scale(group, "channel", np.array(table.channels, h5py.string_dtype()), "")
     for name in ("values", "std_error"):
-        if (data := getattr(peak, name)) is not None and not (name == "values" and compressed):
+        if (data := getattr(peak, name)) is not None:
             write_data(group, name, data, _PEAK_AXES, "1")
 
 
-def _read_peak(group: h5py.Group, path: Path, where: str, content: Mapping[str, Any] | None) -> Peak:
-    """Read it; the `content` of a compressed table holds its values where the group does not."""
+def _read_peak(group: h5py.Group, path: Path, where: str) -> Peak:
     fields = {}
     for name in ("slope_edges", "psi_edges", "values", "std_error"):
         if name in group:
             fields[name] = read_array(group[name], where + name, path, "fiu")
-        elif name == "values" and content is not None:
-            from gonio.table.compress import decode_peak  # which writes through this module
-
-            fields[name] = decode_peak(content, slope_areas(fields["slope_edges"], fields["psi_edges"]))
         elif name != "std_error":
             raise InputError(
                 f"{path}: dataset {where}{name} is missing; the file is incomplete, trace it again"
@@ -203,14 +197,14 @@ def _read_peak(group: h5py.Group, path: Path, where: str, content: Mapping[str, 
 
 def _is_anisotropic(file: h5py.File, path: Path) -> bool:
     """Check what the file says it is."""
-    found = file.attrs.get("format")
+    found = _text(file.attrs.get("format"))
     if not isinstance(found, str) or found not in (FORMAT, hdf5_anisotropic.FORMAT):
         names = ", ".join(sorted(file)[:6]) or "nothing"
         raise InputError(
             f"{path}: an HDF5 file of something else (it holds {names}); a BRDF table has the attribute "
             f"format = {FORMAT!r}"
         )
-    version = str(file.attrs.get("version", ""))
+    version = str(_text(file.attrs.get("version", "")))
     own = VERSION if found == FORMAT else hdf5_anisotropic.VERSION
     major, current = version.partition(".")[0], int(own.partition(".")[0])
     if not major.isdigit():
@@ -224,14 +218,16 @@ def _is_anisotropic(file: h5py.File, path: Path) -> bool:
     return found == hdf5_anisotropic.FORMAT
 
 
+def _text(attribute: Any) -> Any:
+    """Texts of a fixed length are bytes."""
+    return attribute.decode() if isinstance(attribute, bytes) else attribute
+
+
 def _read(group: h5py.Group, path: Path, where: str = "") -> Table:
     """The table in the file or in the group of a part, whose place `where` ends in a slash."""
     fields: dict[str, Any] = {}
-    compressed = "compressed" in group
     kinds = {"hits": "iu", "gaps": "iub"}
     for name in ("theta_i", "theta_i_edges", "theta_r_edges", "delta_phi_edges", *_DATA):
-        if name == "values" and compressed:
-            continue
         if name not in group:
             if name in _OPTIONAL:
                 continue
@@ -239,27 +235,14 @@ def _read(group: h5py.Group, path: Path, where: str = "") -> Table:
                 f"{path}: dataset {where}{name} is missing; the file is incomplete, trace it again"
             )
         fields[name] = read_array(group[name], where + name, path, kinds.get(name, "fiu"))
-    content: dict[str, Any] | None = None
     fields["channels"] = read_channels(group, path, where)
     for name in ("ledger", "provenance"):
         fields[name] = read_json(group, name, path, where)
-    if compressed:
-        from gonio.table.compress import decode  # which writes through this module
-
-        inner = child(group, "compressed", path, where)
-        content = dict(inner.attrs)
-        # an array that a codec packs to nothing may still be as large as the table that its axes span
-        room = 4 * math.prod(len(fields[name]) for name in ("theta_i", "theta_r_edges", "delta_phi_edges"))
-        room = min(room * len(fields["channels"]), _LARGEST)
-        for name, item in inner.items():
-            content[name] = read_array(item, f"{where}compressed/{name}", path, "fiu", room)
-        with at(where):
-            fields["values"] = decode(content, fields)
     if (wavelengths := fields.get("wavelengths_nm")) is not None:
         fields["wavelengths_nm"] = tuple(np.ravel(wavelengths).tolist())
     if "peak" in group:
         with at(where):
-            fields["peak"] = _read_peak(child(group, "peak", path, where), path, f"{where}peak/", content)
+            fields["peak"] = _read_peak(child(group, "peak", path, where), path, f"{where}peak/")
     if "parts" in group:
         fields["parts"] = _read_parts(child(group, "parts", path, where), path, f"{where}parts/")
     with at(where):

@@ -1,4 +1,4 @@
-"""The content of a compressed table in HDF5: arrays, numbers, text, and arrays that a filter packs."""
+"""Arrays of a compressed table that a filter of HDF5 packs, and what its content takes in a file."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 from uuid import uuid4
 
 import h5py
-import numpy as np
 from numpy.typing import NDArray
+
+from gonio.formats.packed import pack_record
 
 
 class Filtered(NamedTuple):
@@ -51,25 +52,17 @@ def chunk_checksum(dataset: h5py.Dataset) -> int:
     return zlib.crc32(stored)
 
 
-def write_content(group: h5py.Group, content: Mapping[str, Any]) -> None:
-    """Write arrays as datasets, numbers and text as attributes."""
-    for name, item in content.items():
-        if isinstance(item, Filtered):
-            item.create(group, name)
-        elif isinstance(item, np.ndarray):
-            group[name] = item
-        else:
-            group.attrs[name] = item
-
-
-def stored_bytes(content: Mapping[str, Any]) -> int:
-    """Bytes that the arrays of the content take in a file, without HDF5's own book-keeping."""
-    with _memory() as file:
-        write_content(file, content)
-        file.flush()
-        return sum(dataset.id.get_storage_size() for dataset in file.values())
-
-
 def _memory() -> h5py.File:
     # HDF5 knows files by their names, even those it never writes: one a thread
     return h5py.File(f"memory-{uuid4()}", "w", driver="core", backing_store=False)
+
+
+def stored_bytes(content: Mapping[str, Any]) -> int:
+    """Bytes that the content takes in a file, without HDF5's own book-keeping."""
+    filtered = {name: item for name, item in content.items() if isinstance(item, Filtered)}
+    size = pack_record({n: item for n, item in content.items() if n not in filtered}).size
+    with _memory() as file:
+        for name, item in filtered.items():
+            item.create(file, name)
+        file.flush()
+        return int(size) + sum(dataset.id.get_storage_size() for dataset in file.values())

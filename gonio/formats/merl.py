@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from gonio.core.directions import half_difference
 from gonio.files import atomic
 from gonio.formats.colour import check_colour
+from gonio.formats.highlights import Brdf, resolved
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -42,7 +43,8 @@ def read(path: Path) -> Table:
     Returns
     -------
     Table
-        90 x 90 x 180 cells, channels R, G, B, rows that are cells of incidence. No error bars.
+        90 x 90 x 180 cells, channels R, G, B, rows that are cells of incidence; a grid of its own for a highlight
+        that is narrower than three cells. No error bars.
 
     Raises
     ------
@@ -78,7 +80,21 @@ def read(path: Path) -> Table:
         gaps=gaps if gaps.any() else None,
         provenance={"source": Path(path).name, "format": "MERL", "phi_d_bins": bins.shape[2]},
     )
-    return table.replace(row_albedo=np.einsum("irpc,rp->ic", values, table.projected_solid_angles))
+    table = table.replace(row_albedo=np.einsum("irpc,rp->ic", values, table.projected_solid_angles))
+    return resolved(table, _brdf(bins))
+
+
+def brdf_of(path: Path) -> Brdf:
+    """What a file gives between the cells that `read` averages over, 0 without data; errors as there."""
+    return _brdf(_read_bins(path))
+
+
+def _brdf(bins: Array) -> Brdf:
+    def look(theta_i: float, theta_o: Array, phi: Array) -> Array:
+        found = _look_up(bins, half_difference(theta_i, theta_o, phi))[:, 0]
+        return np.where(np.all(found >= 0, axis=-1, keepdims=True), found, 0.0)
+
+    return look
 
 
 def write(table: Table, path: Path) -> list[str]:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from gonio.core.directions import direction
 from gonio.formats.cells import average_cells, row_centres, table_of, uniform_grid
 from gonio.formats.colour import RGB_TO_XYZ, check_colour
+from gonio.formats.highlights import Brdf, resolved
 from gonio.formats.losses import common_losses
 from gonio.formats.rgl_tensors import N_THETA_I, tensors_of, to_unit
 from gonio.formats.tensor_file import read_tensors, write_tensors
@@ -39,7 +40,8 @@ def read(path: Path) -> Table:
     Returns
     -------
     Table
-        Rows that are cells of incidence; channels R, G, B or wavelengths. No error bars, and no gaps: RGL has
+        Rows that are cells of incidence; channels R, G, B or wavelengths; a grid of its own for a highlight that
+        is narrower than three cells. No error bars, and no gaps: RGL has
         extrapolated what was not measured, and the marks of its field ``valid`` contradict each other
         between files. Colours outside of sRGB are negative in a channel, as in the file.
 
@@ -55,9 +57,10 @@ def read(path: Path) -> Table:
     edges, phi_edges = np.linspace(0, np.pi / 2, n + 1), np.linspace(0, np.pi, 2 * n + 1)
     rows = row_centres(edges)
 
+    brdf = _brdf(fields)
+
     def look(row: int, theta_o: Array, phi: Array) -> tuple[Array, NDArray[np.bool_]]:
-        values = _evaluate(fields, float(rows[row]), theta_o, phi)
-        return (values / np.cos(theta_o)).T, np.ones(len(phi), bool)
+        return brdf(float(rows[row]), theta_o, phi), np.ones(len(phi), bool)
 
     values, gaps = average_cells(look, n, edges, phi_edges, n_channels)
     wavelengths = fields.get("wavelengths")
@@ -65,7 +68,7 @@ def read(path: Path) -> Table:
     # outside the gamut of sRGB a channel is below 0; the luminance is what must not be
     colour = {"colour": {"luminance": RGB_TO_XYZ[1].tolist()}} if wavelengths is None else {}
     description = bytes(fields["description"].astype(np.uint8)).decode("utf-8", "replace")
-    return table_of(
+    table = table_of(
         values,
         gaps,
         0.5 * (edges[1:] + edges[:-1]),
@@ -76,6 +79,16 @@ def read(path: Path) -> Table:
         wavelengths_nm=None if wavelengths is None else tuple(wavelengths.tolist()),
         provenance={"source": path.name, "format": "RGL", "description": description, **colour},
     )
+    return resolved(table, brdf)
+
+
+def brdf_of(path: Path) -> Brdf:
+    """What a file gives between the cells that `read` averages over; errors as there."""
+    return _brdf(_check(read_tensors(path), path))
+
+
+def _brdf(fields: dict[str, Array]) -> Brdf:
+    return lambda theta_i, theta_o, phi: (_evaluate(fields, theta_i, theta_o, phi) / np.cos(theta_o)).T
 
 
 def write(table: Table, path: Path) -> list[str]:

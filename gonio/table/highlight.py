@@ -6,7 +6,8 @@ interpolated in slopes is not the energy g, which ends at the plane, but
     q = 4 f w,    w = `gonio.core.masking.masked_cosines`,
 
 in which F(theta_d) D(s) is left, smooth over the plane's horizon and from row to row. Light is drawn in proportion
-to g interpolated, which is f cos(theta_o) but for the cells that the horizon cuts.
+to g interpolated, which is f cos(theta_o) but for the cells that the horizon cuts: a weight f cos/pdf is 1.002 of its
+mean at most up to theta_i = 75 degrees, 1.3 at 82 and 1.6 at 86 (the narrowest measured highlight, alpha 0.01).
 """
 
 from __future__ import annotations

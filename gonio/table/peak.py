@@ -24,6 +24,12 @@ Array = NDArray[np.float64]
 
 _ROW_POINTS = 3
 
+_CORE, _STEP = 5.0, 0.25  # rings of equal area up to there, in slope^2 / alpha^2: 99 % of a Gaussian's light
+_GROWTH = 1.25  # of the rings' areas, beyond
+_EXTENT = 6.0  # in units of alpha, at least
+_CELLS = 4.0  # and in slopes, this many of the table's cells of theta_r: beyond, these follow any tail
+_SECTORS = 8
+
 
 @dataclass(frozen=True, eq=False)
 class Peak:
@@ -92,7 +98,7 @@ class Peak:
 
     @property
     def alpha(self) -> float:
-        """Roughness that the grid was made for: its first ring ends at half of it (`gonio.trace.peak_grid`)."""
+        """Roughness that the grid was made for: its first ring ends at half of it (`grid_of`)."""
         return 2.0 * float(self.slope_edges[1])
 
     def visible(self, theta_i: tuple[float, float]) -> Visible:
@@ -143,6 +149,28 @@ class Points(NamedTuple):
         out = np.empty(self.cos_o.size)
         masked_cosines_many(alpha, self.cos_i, self.cos_o.ravel(), out)
         return np.maximum(out, np.finfo(float).tiny).reshape(self.cos_o.shape)
+
+
+class PeakGrid(NamedTuple):
+    """The cells of a `Peak`."""
+
+    slope_edges: Array
+    psi_edges: Array
+
+    @property
+    def areas(self) -> Array:
+        """As `Peak.areas`."""
+        return slope_areas(self.slope_edges, self.psi_edges)
+
+
+def grid_of(alphas: list[float], theta_step_deg: float) -> PeakGrid:
+    """The grid for highlights of these alphas in a table of such cells."""
+    least = min(alphas)
+    extent = max(_EXTENT * max(alphas), _CELLS * np.radians(theta_step_deg)) / least
+    core = np.arange(round(_CORE / _STEP) + 1) * _STEP
+    rings = int(np.ceil(np.log(extent**2 / _CORE) / np.log(_GROWTH)))
+    tail = np.geomspace(_CORE, extent**2, rings + 1)[1:]
+    return PeakGrid(least * np.sqrt(np.concatenate([core, tail])), np.linspace(0.0, np.pi, _SECTORS + 1))
 
 
 def row_angles(theta_i: tuple[float, float]) -> list[tuple[float, float]]:

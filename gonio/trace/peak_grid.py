@@ -2,42 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
-
-from gonio.table.peak import slope_areas
+from gonio.table.peak import PeakGrid, grid_of
 from gonio.trace.estimators import LEAST_ALPHA, RANDOM_SURFACES
 from gonio.trace.tracer import Tracer
 from microgeometry.materials import Coated, Conductor, Dielectric, Mirror
 from microgeometry.specimen import Specimen
-
-Array = NDArray[np.float64]
 
 _SMALLEST_ALPHA = 1e-6  # directions are traced in single precision
 
 WIDEST_ALPHA = 0.45
 """Of a highlight alone on a random surface; see `peak_grid`."""
 _MIRRORS = Mirror, Conductor, Dielectric, Coated
-
-_CORE, _STEP = 5.0, 0.25  # rings of equal area up to there, in slope^2 / alpha^2: 99 % of a Gaussian's light
-_GROWTH = 1.25  # of the rings' areas, beyond
-_EXTENT = 6.0  # in units of alpha, at least
-_CELLS = 4.0  # and in slopes, this many of the table's cells of theta_r: beyond, these follow any tail
-_SECTORS = 8
-
-
-class PeakGrid(NamedTuple):
-    """The cells of a `gonio.table.peak.Peak`."""
-
-    slope_edges: Array
-    psi_edges: Array
-
-    @property
-    def areas(self) -> Array:
-        """As `Peak.areas`."""
-        return slope_areas(self.slope_edges, self.psi_edges)
 
 
 def peak_grid(specimen: Specimen, tracer: Tracer) -> PeakGrid | None:
@@ -61,13 +36,3 @@ def peak_grid(specimen: Specimen, tracer: Tracer) -> PeakGrid | None:
         if isinstance(layer.material, _MIRRORS) and _SMALLEST_ALPHA < found["alpha"] < limit
     ]
     return grid_of(alphas, specimen.grid.theta_step_deg) if alphas else None
-
-
-def grid_of(alphas: list[float], theta_step_deg: float) -> PeakGrid:
-    """The grid for highlights of these alphas in a table of such cells."""
-    least = min(alphas)
-    extent = max(_EXTENT * max(alphas), _CELLS * np.radians(theta_step_deg)) / least
-    core = np.arange(round(_CORE / _STEP) + 1) * _STEP
-    rings = int(np.ceil(np.log(extent**2 / _CORE) / np.log(_GROWTH)))
-    tail = np.geomspace(_CORE, extent**2, rings + 1)[1:]
-    return PeakGrid(least * np.sqrt(np.concatenate([core, tail])), np.linspace(0.0, np.pi, _SECTORS + 1))

@@ -90,7 +90,7 @@ def test_optional_fields_stay_absent(tmp_path):
 def test_units_axes_and_scales(saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "gonio-table"
-        assert file.attrs["version"] == "1.3"
+        assert file.attrs["version"] == "1.4"
         values = file["values"]
         assert values.attrs["units"] == "1/sr"
         assert values.compression == "gzip"
@@ -167,7 +167,7 @@ DAMAGE = {
     "truncated early": (cut(0.01), "damaged or truncated"),
     "garbled chunk": (overwrite, "dataset std_error is damaged or truncated"),
     "foreign": (lambda p: (p.unlink(), edit_new(p)), "something else .it holds temperature"),
-    "newer": (attribute("version", "2.0"), "version 2.0 is newer than 1.3, update gonio"),
+    "newer": (attribute("version", "2.0"), "version 2.0 is newer than 1.4, update gonio"),
     "no version": (attribute("version", "x"), "attribute version"),
     "no values": (drop("values"), "dataset values is missing"),
     "no channel": (drop("channel"), "dataset channel is missing"),
@@ -183,7 +183,7 @@ DAMAGE = {
         lambda p: edit(p, lambda f: (f.__delitem__("row_albedo"), f.create_group("row_albedo"))),
         "albedo holds a group",
     ),
-    "compressed": (put("compressed", np.zeros(3)), "compressed is a dataset; a group is expected"),
+    "compressed": (put("compressed", np.zeros(3)), "compressed holds float64; integers are expected"),
     "parts": (put("parts", np.zeros(3)), "parts is a dataset; a group is expected"),
     "part": (put("parts/L1", np.zeros(3)), "parts/L1 is a dataset; a group is expected"),
     "part without values": (

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import h5py
 import numpy as np
 
 from gonio.core.directions import direction
+from gonio.formats.packed import pack_record, unpack_record
 from gonio.table.table import Table
 
 CHANNELS = ("R", "G", "B")
@@ -108,3 +110,12 @@ def ggx(alpha, albedo=1.0):
         return albedo * d / (1 + lam(wi) + lam(wo)) / (4 * wi[..., 2] * wo[..., 2])
 
     return brdf
+
+
+def edit_record(path, action, where=""):
+    """Do something to the record of a compressed table, or of its part at `where`, which ends in a slash."""
+    with h5py.File(path, "r+") as file:
+        record = unpack_record(file[where + "compressed"][()])
+        action(record)
+        del file[where + "compressed"]
+        file[where + "compressed"] = pack_record(record)

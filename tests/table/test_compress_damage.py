@@ -3,53 +3,77 @@
 from __future__ import annotations
 
 import bz2
+import zlib
 
 import h5py
 import numpy as np
 import pytest
 
 from gonio.formats import hdf5_data
+from gonio.formats.packed import pack_record
 from gonio.table.compress import METHODS, compress
 from gonio.table.table import Table
 from microgeometry.errors import InputError
-from tests.table.tables import ggx, grid, lambert, make
+from tests.table.tables import edit_record, ggx, grid, lambert, make
 
 pytestmark = pytest.mark.compiled
 
 EDGES = grid(30, 30, 45)
 
 
-def replace(name, data):
-    def action(group):
-        del group[name]
-        group[name] = data
+def put(name, item):
+    return lambda record: record.__setitem__(name, item)
 
-    return action
+
+def drop(name):
+    return lambda record: record.__delitem__(name)
 
 
 DAMAGE = {
-    "method": ("dct", lambda g: g.attrs.__setitem__("method", "wavelet"), "method 'wavelet' is unknown"),
-    "no method": ("dct", lambda g: g.attrs.__delitem__("method"), "method None is unknown"),
-    "no step": ("dct", lambda g: g.attrs.__delitem__("step"), "damaged content"),
-    "count": ("dct", lambda g: g.attrs.__setitem__("count", 10**12), "damaged content"),
-    "scale": ("dct", replace("scale", np.ones((2, 2), "f4")), "damaged content"),
-    "nan": ("dct", replace("scale", np.full((30, 3), np.nan, "f4")), "damaged content"),
-    "zeros": ("dct", replace("zeros", np.zeros(50, np.uint8)), "damaged content"),
-    "coefficients": ("dct", replace("coefficients", np.zeros(50, np.uint8)), "damaged content"),
-    "missing": ("dct", lambda g: g.__delitem__("zeros"), "damaged content"),
-    "text": ("dct", replace("zeros", "hello"), "zeros holds"),
-    "another method's": ("dct", lambda g: g.attrs.__setitem__("method", "tree"), "damaged content"),
-    "rings": ("tree", lambda g: g.attrs.__setitem__("ring_step", 2.0), "damaged content"),
-    "bright rings": ("tree", lambda g: g.attrs.__setitem__("ring_floor", 1e308), "damaged content"),
-    "tree": ("tree", replace("tree", np.frombuffer(bz2.compress(b""), np.uint8)), "nodes, more are expected"),
-    "no tree": ("tree", replace("tree", np.zeros(9, np.uint8)), "damaged content"),
-    "negative step": ("tree", lambda g: g.attrs.__setitem__("step", -1.0), "damaged content"),
-    "basis": ("low_rank", replace("basis", np.ones((31, 2), "f4")), "damaged content"),
-    "weights": ("low_rank", replace("weights", np.zeros(31, "f4")), "damaged content"),
-    "huge basis": ("low_rank", replace("basis", np.full((31, 2), 9, "f4")), "damaged content"),
-    "array": ("zfp", replace("array", np.zeros((3, 3), "f4")), "damaged content"),
-    "array of nan": ("sz3", replace("array", np.full((3, 30, 30, 45), np.nan, "f4")), "damaged content"),
-    "no array": ("blosc2", lambda g: g.__delitem__("array"), "damaged content"),
+    "method": ("dct", put("content/method", "wavelet"), "method 'wavelet' is unknown"),
+    "no method": ("dct", drop("content/method"), "method None is unknown"),
+    "no step": ("dct", drop("content/step"), "damaged content"),
+    "count": ("dct", put("content/count", 10**12), "damaged content"),
+    "endless count": ("dct", put("content/count", float("inf")), "damaged content"),
+    "scale": ("dct", put("content/scale", np.ones((2, 2), "f4")), "damaged content"),
+    "nan": ("dct", put("content/scale", np.full((30, 3), np.nan, "f4")), "damaged content"),
+    "zeros": ("dct", put("content/zeros", np.zeros(50, np.uint8)), "damaged content"),
+    "coefficients": ("dct", put("content/coefficients", np.zeros(50, np.uint8)), "damaged content"),
+    "missing": ("dct", drop("content/zeros"), "damaged content"),
+    "text": ("dct", put("content/zeros", "hello"), "damaged content"),
+    "another method's": ("dct", put("content/method", "tree"), "damaged content"),
+    "rings": ("tree", put("content/ring_step", 2.0), "damaged content"),
+    "bright rings": ("tree", put("content/ring_floor", 1e308), "damaged content"),
+    "tree": (
+        "tree",
+        put("content/tree", np.frombuffer(bz2.compress(b""), np.uint8)),
+        "nodes, more are expected",
+    ),
+    "no tree": ("tree", put("content/tree", np.zeros(9, np.uint8)), "damaged content"),
+    "negative step": ("tree", put("content/step", -1.0), "damaged content"),
+    "basis": ("low_rank", put("content/basis", np.ones((31, 2), "f4")), "damaged content"),
+    "weights": ("low_rank", put("content/weights", np.zeros(31, "f4")), "damaged content"),
+    "huge basis": ("low_rank", put("content/basis", np.full((31, 2), 9, "f4")), "damaged content"),
+    "axis of nan": (
+        "low_rank",
+        put("theta_r_edges", np.full(31, np.nan)),
+        "damaged content .axes that are not angles",
+    ),
+    "no axis": ("tree", drop("theta_i"), "damaged content .'theta_i' is missing"),
+    "text axis": ("tree", put("theta_i", "hello"), "compressed/theta_i is no array"),
+    "single edge": ("tree", put("theta_r_edges", np.array(3.0)), "theta_r_edges is a single number"),
+    "axis": ("tree", put("theta_r_edges", np.linspace(0, 1, 31)), "theta_r_edges: must increase"),
+    "shape": ("tree", put("row_albedo", np.ones((5, 3))), "damaged content"),
+    "ledger": ("tree", put("ledger", [1.0]), "ledger is no object"),
+    "channels": ("tree", put("channels", 3), "damaged content"),
+    "gaps": ("tree", put("gaps", np.zeros(3, np.uint8)), "3 bytes of gaps for 40500 cells"),
+    "parts": ("tree", put("parts", ["L1"]), "'parts'"),
+    "half a peak": ("tree", put("peak/slope_edges", np.zeros(9)), "psi_edges is no array"),
+    "huge peak": (
+        "tree",
+        lambda record: record.update({f"peak/{n}_edges": np.zeros(2**14) for n in ("slope", "psi")}),
+        "peak: 16384 x 16384 cells",
+    ),
 }
 
 
@@ -58,11 +82,67 @@ def test_damaged_content(tmp_path, name):
     path = tmp_path / "c.h5"
     method, damage, message = DAMAGE[name]
     compress(make(ggx(0.5, 0.9), EDGES), path, 0.1, method)
-    with h5py.File(path, "r+") as file:
-        damage(file["compressed"])
+    edit_record(path, damage)
     with pytest.raises(InputError, match=message) as caught:
         Table.load(path)
     assert str(path) in str(caught.value)
+
+
+FILTERED = {
+    "array": ("zfp", np.zeros((3, 3), "f4"), "damaged content"),
+    "array of nan": ("sz3", np.full((3, 30, 30, 45), np.nan, "f4"), "damaged content"),
+    "no array": ("blosc2", None, "damaged content"),
+}
+
+
+@pytest.mark.parametrize("name", FILTERED)
+def test_damaged_arrays(tmp_path, name):
+    path = tmp_path / "c.h5"
+    method, array, message = FILTERED[name]
+    compress(make(ggx(0.5, 0.9), EDGES), path, 0.1, method)
+    with h5py.File(path, "r+") as file:
+        del file["compressed_array"]
+        if array is not None:
+            file["compressed_array"] = array
+    with pytest.raises(InputError, match=message):
+        Table.load(path)
+
+
+def test_a_file_of_an_older_version(tmp_path):
+    path = tmp_path / "c.h5"
+    compress(make(ggx(0.5, 0.9), EDGES), path, 0.1, "dct")
+    with h5py.File(path, "r+") as file:
+        del file["compressed"]
+        file.create_group("compressed")
+    with pytest.raises(
+        InputError, match="compressed is of an older version of gonio; compress the table again"
+    ):
+        Table.load(path)
+
+
+RECORDS = {
+    "nothing": b"",
+    "not deflated": b"hello",
+    "not JSON": zlib.compress(b"[\n"),
+    "a list": zlib.compress(b"[]\n"),
+    "deep": zlib.compress(b"[" * 100_000),
+    "type": zlib.compress(b'[{},{"a":["O",1]}]\n' + bytes(8)),
+    "shape": zlib.compress(b'[{},{"a":["f8",-1]}]\n' + bytes(8)),
+    "fraction": zlib.compress(b'[{},{"a":["f8",0.5]}]\n' + bytes(8)),
+    "larger than the file": zlib.compress(b'[{},{"a":["f8",1000000000000]}]\n' + bytes(8)),
+    "truncated": pack_record({"a": np.arange(9.0)}).tobytes()[:-3],
+}
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_damaged_records(tmp_path, name):
+    path = tmp_path / "c.h5"
+    compress(make(ggx(0.5, 0.9), EDGES), path, 0.1, "dct")
+    with h5py.File(path, "r+") as file:
+        del file["compressed"]
+        file["compressed"] = np.frombuffer(RECORDS[name], np.uint8)
+    with pytest.raises(InputError, match="compressed: damaged content"):
+        Table.load(path)
 
 
 @pytest.mark.parametrize("method", ["zfp", "sz3", "blosc2"])
@@ -71,7 +151,7 @@ def test_bytes_the_codec_would_trust_are_checked_before(tmp_path, method):
     path = tmp_path / "c.h5"
     compress(make(ggx(0.5, 0.9), EDGES), path, 0.02, method)
     with h5py.File(path) as file:
-        chunk = file["compressed/array"].id.get_chunk_info(0)
+        chunk = file["compressed_array"].id.get_chunk_info(0)
     data = bytearray(path.read_bytes())
     # two bytes of 0 that become 255 pass Fletcher's checksum
     zeros = data.find(b"\0\0\0\0", chunk.byte_offset, chunk.byte_offset + chunk.size)
@@ -79,13 +159,13 @@ def test_bytes_the_codec_would_trust_are_checked_before(tmp_path, method):
         damaged = data.copy()
         damaged[zeros : zeros + 4] = b"\xff" * 4
         path.write_bytes(damaged)
-        with pytest.raises(InputError, match="compressed/array is damaged or truncated"):
+        with pytest.raises(InputError, match="compressed_array is damaged or truncated"):
             Table.load(path)
     for at in np.linspace(0, chunk.size - 5, 20).astype(int):
         damaged = data.copy()
         damaged[chunk.byte_offset + at] ^= 4
         path.write_bytes(damaged)
-        with pytest.raises(InputError, match="compressed/array is damaged or truncated"):
+        with pytest.raises(InputError, match="compressed_array is damaged or truncated"):
             Table.load(path)
 
 

@@ -16,11 +16,10 @@ from gonio.formats.losses import common_losses
 from gonio.table import compress
 from gonio.table.checks import check, relative_noise
 from gonio.table.compress import highlight
-from gonio.table.peak import Peak, reached
+from gonio.table.peak import Peak, grid_of, reached
 from gonio.table.pool import pool_tables
 from gonio.table.row_quantities import albedo_table
 from gonio.trace.measure import measure
-from gonio.trace.peak_grid import grid_of
 from gonio.validation import check_sampling, check_weights
 from microgeometry.errors import InputError
 from microgeometry.specimen import parse_specimen

@@ -70,7 +70,7 @@ class Method(Protocol):
     def decode(self, content: Mapping[str, Any], fields: Mapping[str, Any], /) -> NDArray[np.float64]:
         """Values, shape (I, R, P, C), from the content and the table's other fields.
 
-        KeyError, TypeError, ValueError, OSError or EOFError: the content is damaged.
+        KeyError, TypeError, ValueError, ArithmeticError, OSError or EOFError: the content is damaged.
         """
 
 
@@ -293,5 +293,5 @@ def decode_peak(content: Mapping[str, Any], areas: NDArray[np.float64]) -> NDArr
 def _undamaged() -> Iterator[None]:
     try:
         yield
-    except (KeyError, TypeError, ValueError, OSError, EOFError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError, OSError, EOFError) as error:
         raise InputError(f"compressed: damaged content ({error}); compress the table again") from error

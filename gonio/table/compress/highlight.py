@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from gonio.table.compress.metric import reference_norms, row_norms
 from gonio.table.compress.packing import pack_sparse, step_of, unpack_sparse
 from gonio.table.peak import Peak
 
@@ -28,24 +29,25 @@ _LARGEST = 2**24
 
 def errors(peak: Peak, values: Array) -> Array:
     """Relative error of other values, shape (I, C): RMS over the area of the slopes, as `metric.row_errors`."""
-    norm = _norm(peak.values, peak.areas)
-    return np.divide(_norm(values - peak.values, peak.areas), norm, out=np.zeros_like(norm), where=norm > 0)
-
-
-def _norm(values: Array, areas: Array) -> Array:
-    return np.sqrt(np.einsum("isqc,sq->ic", values**2, areas))
+    weights = np.sqrt(peak.areas)
+    norm = reference_norms(peak.values, weights)
+    found = row_norms(values - peak.values, weights)
+    return np.divide(found, norm, out=np.zeros_like(norm), where=norm > 0)
 
 
 def encode(peak: Peak, bounds: Array) -> dict[str, Any]:
     """Content whose decoded values hold the bounds on `errors`, shape (I, C)."""
-    scale = _norm(peak.values, peak.areas).astype(np.float32)
+    scale = reference_norms(peak.values, np.sqrt(peak.areas)).astype(np.float32)
+    # colours outside the gamut
+    signed = bool(peak.values.min() < 0)
     whole = peak.values * np.sqrt(peak.areas)[..., None] / np.maximum(scale, 1e-30)[:, None, None]
     coefficients = fft.dctn(whole, norm="ortho")
     # were every coefficient rounded at random; those rounded to 0 err less, so the step may be larger
+    fixed = {"scale": scale, "signed": signed}
     step = float(4.0 * bounds.min() * np.sqrt(12.0 / peak.areas.size))
     for _ in range(_TRIALS):
         found = pack_sparse(np.round(coefficients / step).ravel().astype(np.int64))
-        content = {_PREFIX + name: part for name, part in {**found, "step": step, "scale": scale}.items()}
+        content = {_PREFIX + name: part for name, part in {**found, **fixed, "step": step}.items()}
         if np.all(errors(peak, decode(content, peak.areas)) <= bounds):
             break
         step *= _FINER
@@ -73,4 +75,6 @@ def decode(content: Mapping[str, Any], areas: Array) -> Array:
     places, numbers = unpack_sparse(own, stream.size)
     stream[places] = numbers
     whole = fft.idctn(stream.reshape(shape) * step_of(own), norm="ortho")
-    return np.maximum(whole, 0.0) * scale[:, None, None] / np.sqrt(areas)[..., None]
+    if not own["signed"]:
+        whole = np.maximum(whole, 0.0)
+    return whole * scale[:, None, None] / np.sqrt(areas)[..., None]

@@ -111,6 +111,8 @@ def _interpolation(fields: Mapping[str, Any], sizes: Sizes) -> sparse.csr_matrix
     h, d, p = half_difference(theta_i[:, None, None], theta_r[:, None], phi)
     coordinates = (np.sqrt(h / (0.5 * np.pi)), d / (0.5 * np.pi), np.abs(p) / np.pi)
     columns, weights = np.zeros((n, 1), np.int32), np.ones((n, 1), np.float32)
+    if not all(np.all(np.isfinite(x)) for x in coordinates):  # the sparse product trusts its columns
+        raise ValueError("axes that are not angles")
     for x, size in zip(coordinates, sizes, strict=True):
         x = np.clip(x.reshape(-1, 1), 0.0, 1.0) * (size - 1)
         low = np.minimum(x.astype(np.int32), size - 2)
