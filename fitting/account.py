@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 
 _CHUNKS = 32
 _LEAST = 0.05  # of 1 - leverage
-_ENOUGH = 150_000  # cells for a covariance
 _NGAN, _NORM, _LOW, _NBRDF, _CUBE, _CHI2, _SPREAD, _BOUND, _PAIRS, _PAIRS2 = range(10)
 
 
@@ -53,8 +52,7 @@ class Account:
     scatter : ndarray, shape (M, M)
         Of its first derivatives: sums over cells of u u', u = sum over channels of w r/(1 - h) and the model's
         derivatives, with the leverage h of the value, by which its own pull on the fit makes its residual
-        small (HC3, MacKinnon and White 1985). Estimated from one cell in several where there are very
-        many.
+        small (HC3, MacKinnon and White 1985).
     held : ndarray of bool, shape (M,)
         At a bound, or without any influence.
     freedom : ndarray, shape (M,)
@@ -83,7 +81,6 @@ def account(problem: Problem, point: Point) -> Account:
     samples, objective = problem.samples, problem.objective
     n, channels = samples.values.shape
     chunks = max(1, min(_CHUNKS, n // 2000))
-    stride = max(1, n // _ENOUGH)
     curved, weights = problem, np.empty((0, channels))
     if objective.difference == ABSOLUTE_LOG:
         curved = expected(problem, point)
@@ -111,7 +108,6 @@ def account(problem: Problem, point: Point) -> Account:
             objective.difference,
             objective.scale,
             weights[part],
-            stride,
             leverage,
             maps,
             places,
@@ -138,7 +134,7 @@ def account(problem: Problem, point: Point) -> Account:
         float(np.sqrt(min(total[_SPREAD], total[_BOUND]))),
         float(total[_PAIRS] / np.sqrt(total[_PAIRS2])) if total[_PAIRS2] > 0 else 0.0,
         matrix,
-        stride * _symmetric(scatter),
+        _symmetric(scatter),
         held,
         freedom,
     )
@@ -168,7 +164,7 @@ def _symmetric(lower: Array) -> Array:
 @kernel
 def _account(
     kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells, levels, values, weights, cos_i,
-    sin_i, sin_o, variance, factors, difference, scale, curved, stride, leverage, maps, places, inverse,
+    sin_i, sin_o, variance, factors, difference, scale, curved, leverage, maps, places, inverse,
 ):  # fmt: skip
     """The sums over some cells: ten as numbered above; of u u', the lower triangle; of q^2 and q^4."""
     size, terms, channels = maps.shape[2], factors.shape[0], values.shape[1]
@@ -181,10 +177,9 @@ def _account(
         if at == 0:
             averages(
                 kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells[n : n + BLOCK],
-                levels[n : n + BLOCK], n, stride, scratch, block,
+                levels[n : n + BLOCK], True, scratch, block,
             )  # fmt: skip
         v = block[at]
-        sampled = n % stride == 0
         ngan = cos_i[n] * cos_i[n] * sin_i[n] * sin_o[n]
         excess, bound, pair = 0.0, 0.0, 0.0
         u[:] = 0.0
@@ -220,8 +215,6 @@ def _account(
             w, r = weights[n, 0 if shared else channel], e
             if difference != QUADRATIC:
                 _, w, r = touching(difference, scale, y, model, cos_i[n], w)
-            if not sampled:
-                continue
             pull = 0.0
             for j in range(size):
                 for k in range(size):
@@ -238,8 +231,6 @@ def _account(
         if adjacent:
             sums[_PAIRS] += pair
             sums[_PAIRS2] += pair * pair
-        if not sampled:
-            continue
         for j in range(len(u)):
             q = 0.0
             for k in range(len(u)):

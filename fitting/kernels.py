@@ -54,7 +54,7 @@ def cell_terms(
 @kernel
 def _cell_terms(kinds, counts, shapes, tangents, rows, rings, sectors, exact_rows, cells, levels, out):
     averages(
-        kinds, counts, shapes, tangents, rows, rings, sectors, exact_rows, cells, levels, 0, 0,
+        kinds, counts, shapes, tangents, rows, rings, sectors, exact_rows, cells, levels, False,
         new_scratch(tangents), out,
     )  # fmt: skip
 

@@ -127,11 +127,11 @@ def _changes(
         if at == 0:
             some = cells[chosen[m : m + BLOCK]]
             averages(
-                kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, some, lower, 0, 0, scratch,
+                kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, some, lower, False, scratch,
                 coarse,
             )  # fmt: skip
             averages(
-                kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, some, upper, 0, 0, scratch,
+                kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, some, upper, False, scratch,
                 fine,
             )  # fmt: skip
         n, before, v = chosen[m], coarse[at], fine[at]

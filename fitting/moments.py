@@ -132,13 +132,11 @@ def new_scratch(tangents):
 
 @kernel(allocates=False)
 def averages(
-    kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells, levels, begin, every, scratch,
-    out,
+    kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells, levels, slopes, scratch, out
 ):  # fmt: skip
     """The vectors v of some cells, into rows of `out`; a call for each would cost as much as what it does.
 
-    `scratch` is of `new_scratch`, for these lobes, and remembers the last cell's. Derivatives are set in one cell
-    of `every`, counted from `begin` of the first; in none if that is 0.
+    `scratch` is of `new_scratch`, for these lobes, and remembers the last cell's; `slopes`: derivatives as well.
     """
     first_slope = 0
     for k in range(len(kinds)):
@@ -147,7 +145,6 @@ def averages(
         i, r, s, level = cells[n, 0], cells[n, 1], cells[n, 2], np.int64(levels[n])
         nodes = 1 << level
         row_nodes = 1 if exact_rows else nodes
-        slopes = every > 0 and (begin + n) % every == 0
         for k in range(out.shape[1]):
             out[n, k] = 0.0
         for a in range(row_nodes):
@@ -214,7 +211,7 @@ def _moments(
         if at == 0:
             averages(
                 kinds, counts, packed, tangents, rows, rings, sectors, exact_rows, cells[n : n + BLOCK],
-                levels[n : n + BLOCK], n, 1 if slopes else 0, scratch, block,
+                levels[n : n + BLOCK], slopes, scratch, block,
             )  # fmt: skip
         v = block[at]
         for channel in range(channels):

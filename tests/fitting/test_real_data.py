@@ -36,9 +36,9 @@ REFERENCE = {
 }
 # Its Ward lobe had a Fresnel term, as its other lobes had: dense scans of the roughness with coefficients by least
 # squares, on 30 000 random pairs of all materials, leave .196 with one and .543 without; .215 and .350 for
-# Cook-Torrance, .227 and .354 for Ashikhmin-Shirley, .143 and .332 for GGX, .981 for Lambert alone. On seven other
-# grids and with three weights (25 materials) no Ward lobe without one came below .29 where Lambert alone
-# had above .93.
+# Cook-Torrance, .227 and .354 for Ashikhmin-Shirley, .143 and .332 for GGX, .981 for Lambert alone. On seven
+# other grids (six of 25 materials and with three weights, one of all) no Ward lobe without one came below .29 where
+# Lambert alone had above .93.
 NO_FRESNEL = "without a Fresnel term no Ward lobe follows a measured highlight towards grazing, on any grid"
 
 
