@@ -9,6 +9,10 @@ theta_i is the light's, linear between the angles of the file; arrays have theta
 written here has its own ndf: an estimate from the table, since any positive one will do; the spectra make up
 for the difference. In the renderers that read these files phi_m - phi_i runs over the full circle; both
 signs are averaged in reading.
+
+Measured files are not reciprocal: at 90 degrees of azimuth chm_light_blue has f(20, 60) = 0.0089 and f(60, 20) =
+0.0045. Mitsuba, which follows light from the camera, puts the camera where theta_i is. So its pictures of such a file
+are those of the table with light and detector exchanged; under light from everywhere they are the same.
 """
 
 from __future__ import annotations
