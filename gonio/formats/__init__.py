@@ -2,7 +2,10 @@
 
 A format is a module with ``read(path) -> Table`` and, where it can be written, ``write(table, path) ->
 list[str]``, which returns what the format could not keep, and one line in `FORMATS`. What reading loses
-(rotations of the sample averaged, say) stands in the table's provenance under ``lost``.
+(rotations of the sample averaged, say) stands in the table's provenance under ``lost``. So that `convert` can measure
+what became of the values, a module that resamples has one function more: ``brdf_of(path)``, f at any angles,
+where the format gives that, else ``samples_of(path) -> dict[str, Samples]``, the file's own samples by the part that
+they became: "" for the table, "transmission".
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -37,6 +40,8 @@ FORMATS: dict[str, tuple[str, ...]] = {
     ".xompt": ("openmaterial",),
 }
 """Suffix to modules; the first is written, and read unless the content says otherwise (`_by_content`)."""
+
+_NO_CHANGE = 1e-3  # relative
 
 _READINGS = b"Data file type :"
 """Of the log that a Reflet goniometer keeps in a text file."""
@@ -151,30 +156,44 @@ def convert(
 
     check_target(target)
     table = read_any(source) if Path(target).suffix.lower() == ".h5" else read(source)
+    resampled = _resampling(Path(source), table, part)
     if part is not None:
         try:
             table = extract(table, part)  # type: ignore[type-var]
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
-    before = (*table.provenance.get("lost", ()), *_resampling(Path(source), table))
+    before = (*table.provenance.get("lost", ()), *resampled)
     lost = (*before, *write(table, target))
     if not isinstance(table, Table) or Path(target).suffix.lower() == ".h5":
         return Conversion(lost)
     return Conversion(lost, *_compare(table, read(target)))
 
 
-def _resampling(path: Path, table: Table | AnisotropicTable) -> list[str]:
-    """What reading lost where a format is known everywhere (its module has a ``brdf_of``), and a table is cells."""
+def _resampling(path: Path, table: Any, part: str | None) -> list[str]:
+    """What the cells of a table, and of its parts or the one asked for, changed of the file's values."""
     module = _module(_by_content(path, _names(path)))
-    if not hasattr(module, "brdf_of"):
-        return []
-    from gonio.formats.highlights import resampling_error
+    if hasattr(module, "brdf_of"):
+        from gonio.formats.highlights import resampling_error
 
-    median, worst, at_deg = resampling_error(table, module.brdf_of(path))  # type: ignore[arg-type]
-    return [
-        f"what lies between the table's cells: f cos differs from the file's by {100 * median:.2g} % "
-        f"(median of theta_i from 10 to 80 degrees; at most {100 * worst:.2g} %, at {at_deg:g})"
-    ]
+        median, worst, at_deg = resampling_error(table, module.brdf_of(path))
+        return [
+            f"what lies between the table's cells: f cos differs from the file's by {100 * median:.2g} % "
+            f"(median of theta_i from 10 to 80 degrees; at most {100 * worst:.2g} %, at {at_deg:g})"
+        ]
+    from gonio.formats.samples import sample_error
+
+    sentences = []
+    for name, samples in module.samples_of(path).items() if hasattr(module, "samples_of") else ():
+        if part not in (None, name):
+            continue
+        median, worst, at_deg = sample_error(table.parts[name] if name else table, samples)
+        if worst > _NO_CHANGE:
+            of = f" of {name}" if name else ""
+            sentences.append(
+                f"the file's own samples{of}: where they stand f differs by {100 * median:.2g} % (RMS weighted with "
+                f"the cosine; median of angles of incidence, at most {100 * worst:.2g} %, at {at_deg:.4g} degrees)"
+            )
+    return sentences
 
 
 def check_target(path: str | os.PathLike[str]) -> None:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gonio.formats.colour import XYZ_TO_RGB
 from gonio.formats.points import table_from_points
+from gonio.formats.samples import Samples
 from gonio.formats.text import to_numbers
 from gonio.table.table import Table
 from microgeometry.errors import InputError
@@ -31,6 +33,17 @@ def read(path: Path) -> Table:
     InputError
         No line VARS, other variables, a number of samples other than NUM_POINTS, or no numbers.
     """
+    samples, fields = _read(path)
+    return table_from_points(path, samples, **fields)
+
+
+def samples_of(path: Path) -> dict[str, Samples]:
+    """The file's samples, as `gonio.formats` has them; errors as `read`."""
+    return {"": _read(path)[0]}
+
+
+def _read(path: Path) -> tuple[Samples, dict[str, Any]]:
+    """The samples, and the other arguments of `table_from_points`."""
     lines = path.read_bytes().decode("latin-1").splitlines()
     lines = [line.strip() for line in lines if line.strip()]
     starts = [n for n, line in enumerate(lines) if line.split(None, 1)[0] == "VARS"]
@@ -58,13 +71,9 @@ def read(path: Path) -> Table:
     lost = []
     if len(np.unique(np.round(numbers[:, 1], 6))) > 1:
         lost.append("the azimuth of the light: its rotations are averaged")
-    return table_from_points(
-        path,
-        numbers[:, 0],
-        numbers[:, 2],
-        numbers[:, 3] - numbers[:, 1],
-        values,
-        channels,
-        wavelengths_nm=wavelengths if len(wavelengths) == len(channels) and min(wavelengths) > 0 else None,
-        provenance={"source": path.name, "format": "ASTM E1392", "header": header, "lost": lost},
-    )
+    spectral = len(wavelengths) == len(channels) and min(wavelengths) > 0
+    return Samples(numbers[:, 0], numbers[:, 2], numbers[:, 3] - numbers[:, 1], values), {
+        "channels": channels,
+        "wavelengths_nm": wavelengths if spectral else None,
+        "provenance": {"source": path.name, "format": "ASTM E1392", "header": header, "lost": lost},
+    }

@@ -36,11 +36,16 @@ def check_size(path: Path, n_values: float, what: str) -> None:
     InputError
         `n_values` numbers of 8 bytes are more than 4 MiB and more than 54 times the file.
     """
-    if 8 * n_values > max(_SPACE, _PER_BYTE * path.stat().st_size):
+    if 8 * n_values > justified_bytes(path):
         raise InputError(
             f"{path}: {what} ask for {n_values:.3g} numbers, more than a file of {path.stat().st_size} bytes "
             "justifies; is it damaged?"
         )
+
+
+def justified_bytes(path: Path) -> int:
+    """What a file of this size may ask for."""
+    return max(_SPACE, _PER_BYTE * path.stat().st_size)
 
 
 def uniform_grid(path: Path, n_channels: int, finest: int = 90) -> int:
@@ -51,7 +56,7 @@ def uniform_grid(path: Path, n_channels: int, finest: int = 90) -> int:
     int
         n for a grid of n rows, n rings and 2 n sectors.
     """
-    allowed = min(_AT_MOST, max(_SPACE, _PER_BYTE * path.stat().st_size))
+    allowed = min(_AT_MOST, justified_bytes(path))
     for n in (90, 60, 45, 30, 18, 10):
         if n <= finest and 16 * n**3 * n_channels <= allowed:
             return n
@@ -116,7 +121,10 @@ def cells_around(nodes: Array, last: float, reach: float | None = None) -> tuple
     """Cells that hold one node each, with edges midway between the nodes, from 0 to `last`.
 
     Where nodes are far apart a cell ends 10 degrees from its node, or at half of the closest spacing, up to
-    22.5 degrees, and a cell without a node fills the space.
+    22.5 degrees; beyond the outermost node, at the distance to the next if that is less. Cells without a node fill the
+    space, beside a node's cell one of its size: what the interpolant, which falls to 0 between their middles, has
+    on one side of the edge it lacks on the other. (Down a ramp over all of the space it would have more light than the
+    cells, and be scaled down to their albedo: in the plane of incidence to a hundredth of the samples.)
 
     Parameters
     ----------
@@ -138,9 +146,12 @@ def cells_around(nodes: Array, last: float, reach: float | None = None) -> tuple
         if len(nodes) > 1:
             reach = max(reach, min(_FAR, 0.5 * float(np.diff(nodes).min())))
     ends = np.concatenate([[0.0], 0.5 * (nodes[1:] + nodes[:-1]), [last]])
+    below, above = np.full((2, len(nodes)), reach)
+    if len(nodes) > 1:
+        below[0], above[-1] = np.minimum(reach, np.diff(nodes)[[0, -1]])
     # a tenth more is rounding of the nodes, and no space of its own
-    low = np.where(nodes - ends[:-1] > 1.1 * reach, nodes - reach, ends[:-1])
-    high = np.where(ends[1:] - nodes > 1.1 * reach, nodes + reach, ends[1:])
+    low = np.where(nodes - ends[:-1] > 1.1 * below, nodes - below, ends[:-1])
+    high = np.where(ends[1:] - nodes > 1.1 * above, nodes + above, ends[1:])
     edges, source = [0.0], []
     for n in range(len(nodes)):
         if low[n] > edges[-1] + 1e-9:
@@ -152,7 +163,16 @@ def cells_around(nodes: Array, last: float, reach: float | None = None) -> tuple
         edges.append(last)
         source.append(-1)
     edges[-1] = last
-    return np.array(edges), np.array(source, np.int64)
+    # in the coordinates in which tables are interpolated and integrated
+    flat = np.array(edges) if last > 3 else np.sin(edges) ** 2
+    before, size, after = (np.pad(np.diff(flat), 1)[k : k + len(source)] for k in range(3))
+    split = (np.array(source) < 0) & (before + after < size)
+    low_cut, high_cut = ((flat[:-1] + before)[split & (before > 0)], (flat[1:] - after)[split & (after > 0)])
+    cuts = np.concatenate([low_cut, high_cut])
+    cuts = cuts if last > 3 else np.arcsin(np.sqrt(cuts))
+    where = np.searchsorted(edges, cuts)
+    order = np.argsort(cuts)
+    return np.insert(edges, where[order], cuts[order]), np.insert(source, where[order] - 1, -1)
 
 
 def table_of(

@@ -20,6 +20,7 @@ from gonio.files import atomic
 from gonio.formats.cells import check_size
 from gonio.formats.losses import common_losses
 from gonio.formats.points import table_from_points
+from gonio.formats.samples import Samples
 from gonio.formats.text import to_numbers
 from gonio.table.table import Table
 from microgeometry.errors import InputError
@@ -40,6 +41,20 @@ def read(path: Path) -> Table:
     InputError
         A column that is missing, a line of another length, or no numbers.
     """
+    notes, samples, std_error, channels, fields = _read(path)
+    if "theta_r_edges" in notes:
+        return _from_cells(path, notes, samples, std_error, channels, fields)
+    return table_from_points(path, samples, channels, std_error, **fields)
+
+
+def samples_of(path: Path) -> dict[str, Samples]:
+    """The file's samples, as `gonio.formats` has them, none where they are cells; errors as `read`."""
+    notes, samples, *_ = _read(path)
+    return {} if "theta_r_edges" in notes else {"": samples}
+
+
+def _read(path: Path) -> tuple[dict[str, Any], Samples, Array | None, tuple[str, ...], dict[str, Any]]:
+    """Notes, samples, their error bars, channels, and the other fields of `Table`."""
     lines = path.read_bytes().decode("utf-8", "replace").splitlines()
     notes = _notes([line for line in lines if line.startswith("#")], path)
     lines = [line for line in lines if line.strip() and not line.startswith("#")]
@@ -75,10 +90,7 @@ def read(path: Path) -> Table:
     wavelengths = _numbers(notes, "wavelengths_nm", path)
     fields: dict[str, Any] = {"provenance": provenance}
     fields["wavelengths_nm"] = None if wavelengths is None else tuple(np.ravel(wavelengths).tolist())
-    if "theta_r_edges" in notes:
-        return _from_cells(path, notes, angles, values, std_error, tuple(channels), fields)
-    theta_i, theta_r, delta_phi = angles
-    return table_from_points(path, theta_i, theta_r, delta_phi, values, tuple(channels), std_error, **fields)
+    return notes, Samples(angles[0], angles[1], angles[2], values), std_error, tuple(channels), fields
 
 
 def write(table: Table, path: Path) -> list[str]:
@@ -157,8 +169,7 @@ def _numbers(notes: dict[str, Any], name: str, path: Path) -> Array | None:
 def _from_cells(
     path: Path,
     notes: dict[str, Any],
-    angles: list[Array],
-    values: Array,
+    samples: Samples,
     std_error: Array | None,
     channels: tuple[str, ...],
     fields: dict[str, Any],
@@ -177,6 +188,7 @@ def _from_cells(
         raise InputError(f"{path}: edges of no cells")
     nodes = (axes["theta_i"], *(0.5 * (axes[e][1:] + axes[e][:-1]) for e in _EDGES[1:]))
     index = []
+    angles = samples.theta_i, samples.theta_r, samples.delta_phi
     for name, node, angle in zip(_ANGLES, nodes, angles, strict=True):
         nearest = (
             np.abs(angle[:, None] - node).argmin(axis=1)
@@ -190,7 +202,7 @@ def _from_cells(
     gaps = np.ones(int(np.prod(shape)), bool)
     gaps[place] = False
     full = np.zeros((gaps.size, len(channels)))
-    full[place] = values
+    full[place] = samples.values
     if std_error is not None:
         errors = np.full(full.shape, np.inf)
         errors[place] = std_error

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gonio.formats.cells import cells_around, check_size, table_of
 from gonio.formats.colour import XYZ_TO_RGB
 from gonio.formats.grid import close_circle, interpolate
+from gonio.formats.samples import Samples
 from gonio.formats.text import Words, angles
 from gonio.table.parts import TRANSMISSION
 from gonio.table.table import Table
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 
 _BLOCK = ("AOI", "POI", "Side", "Wavelength", "ScatterType", "TristimulusValue", "TIS")
 _TRISTIMULUS = ("x", "y", "z")
+
+Key = tuple[str, str, float, float, float, str]  # side, type, AOI, POI, wavelength, tristimulus
 
 
 def read(path: Path) -> Table:
@@ -44,6 +47,38 @@ def read(path: Path) -> Table:
     InputError
         A keyword that is missing or unknown, or numbers that are missing.
     """
+    header, azimuths, radials, blocks = _read(path)
+    side, chosen = _one_side(blocks)
+    lost = [] if len(chosen) == len(blocks) else [f"the back side: the {side} is read"]
+    return _tabulate(path, header["colour"], azimuths, radials, chosen, lost)
+
+
+def samples_of(path: Path) -> dict[str, Samples]:
+    """The samples of the side that is read, as `gonio.formats` has them; errors as `read`."""
+    header, azimuths, radials, blocks = _read(path)
+    _, chosen = _one_side(blocks)
+    stimuli, wavelengths = _channels(path, header["colour"], chosen)
+    shape = (len(azimuths), len(radials), len(stimuli) * len(wavelengths))
+    grids: dict[str, dict[tuple[float, float], Array]] = {}
+    for (kind, aoi, turn, wavelength, stimulus), block in chosen.items():
+        if stimulus in stimuli:
+            values = grids.setdefault(kind, {}).setdefault((aoi, turn), np.full(shape, np.nan))
+            channel = int(np.searchsorted(wavelengths, wavelength)) + stimuli.index(stimulus)
+            values[..., channel] = block[:, : len(radials)]
+    to_rgb = XYZ_TO_RGB.T if header["colour"] == "xyz" else np.eye(shape[2])
+    return {
+        "" if kind == "brdf" else TRANSMISSION: Samples.joined(
+            Samples.on_grid(
+                np.radians(aoi), radials, azimuths[:, None] - np.radians(turn + 90), values @ to_rgb
+            )
+            for (aoi, turn), values in found.items()
+        )
+        for kind, found in grids.items()
+    }
+
+
+def _read(path: Path) -> tuple[dict[str, str], Array, Array, dict[Key, Array]]:
+    """Header, azimuths and radial angles up to 90 degrees in radians, and the blocks."""
     words = Words(path)
     header = _read_header(words)
     azimuths = np.radians(words_list(words, header, "ScatterAzimuth"))
@@ -51,11 +86,22 @@ def read(path: Path) -> Table:
     radials = radials[radials <= np.pi / 2 + 1e-9]
     if not np.all(np.diff(azimuths) > 0) or len(radials) == 0:
         raise InputError(f"{path}: azimuths that increase and radial angles up to 90 degrees are expected")
-    blocks = _read_blocks(words, header, len(azimuths))
+    return header, azimuths, radials, _read_blocks(words, header, len(azimuths))
+
+
+def _one_side(blocks: dict[Key, Array]) -> tuple[str, dict]:
+    """The front, or the back where there is no front, and its blocks by the rest of their keys."""
     side = "front" if any(key[0] == "front" for key in blocks) else "back"
-    lost = [] if all(key[0] == side for key in blocks) else ["the back side: one side is read"]
-    chosen = {key[1:]: block for key, block in blocks.items() if key[0] == side}
-    return _tabulate(path, header["colour"], azimuths, radials, chosen, lost)
+    return side, {key[1:]: block for key, block in blocks.items() if key[0] == side}
+
+
+def _channels(path: Path, colour: str, blocks: dict) -> tuple[tuple[str, ...], Array]:
+    """Tristimulus values and wavelengths, whose product the channels are."""
+    wavelengths = np.unique([key[3] for key in blocks])
+    stimuli = _TRISTIMULUS if colour == "xyz" else ("",)
+    if colour == "xyz" and len(wavelengths) > 1:
+        raise InputError(f"{path}: tristimulus values at {len(wavelengths)} wavelengths; one is expected")
+    return stimuli, wavelengths
 
 
 def words_list(words: Words, header: dict[str, str], name: str) -> Array:
@@ -63,9 +109,6 @@ def words_list(words: Words, header: dict[str, str], name: str) -> Array:
     if name not in header:
         raise InputError(f"{words.path}: keyword {name} is missing; is it a LightTools BSDF file?")
     return np.array(header[name].split(), dtype=float)
-
-
-Key = tuple[str, str, float, float, float, str]  # side, type, AOI, POI, wavelength, tristimulus
 
 
 def _read_header(words: Words) -> dict[str, str]:
@@ -142,10 +185,7 @@ def _tabulate(
     turns = np.unique([key[2] for key in blocks])
     if len(turns) > 1:
         lost.append(f"{len(turns)} azimuths of the light: they are averaged")
-    wavelengths = np.unique([key[3] for key in blocks])
-    stimuli = _TRISTIMULUS if colour == "xyz" else ("",)
-    if colour == "xyz" and len(wavelengths) > 1:
-        raise InputError(f"{path}: tristimulus values at {len(wavelengths)} wavelengths; one is expected")
+    stimuli, wavelengths = _channels(path, colour, blocks)
     n_channels = len(stimuli) * len(wavelengths)
     edges, source = cells_around(radials, np.pi / 2)
     n_sectors = int(np.clip(len(azimuths), 18, 180))

@@ -3,8 +3,32 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.table.table import Table
+
+Array = NDArray[np.float64]
+
+
+def stated_reflectance(stated: Array, integral: Array, what: str, scaled_by: str) -> list[str]:
+    """What is lost where a file states reflectances that its values do not add up to, by more than a hundredth.
+
+    Parameters
+    ----------
+    stated, integral : ndarray, of one shape
+    what : str
+        How the file calls them.
+    scaled_by : str
+        The programs that scale the values to them.
+    """
+    lit = integral > 0
+    ratio = stated[lit] / integral[lit]
+    if len(ratio) == 0 or np.all(np.abs(ratio - 1) < 0.01):
+        return []
+    return [
+        f"{what}, {ratio.min():.3g} to {ratio.max():.3g} times what the values add up to: they are read as f, as they "
+        f"stand, where {scaled_by} them to it"
+    ]
 
 
 def common_losses(table: Table, name: str, keeps: tuple[str, ...] = ()) -> list[str]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from gonio.formats.cells import check_size
 from gonio.formats.points import table_from_points
+from gonio.formats.samples import Samples
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -27,6 +28,17 @@ def read(path: Path) -> Table:
     InputError
         No JSON, another layout, or numbers out of range.
     """
+    samples, fields = _read(path)
+    return table_from_points(path, samples, **fields)
+
+
+def samples_of(path: Path) -> dict[str, Samples]:
+    """The file's samples, as `gonio.formats` has them; errors as `read`."""
+    return {"": _read(path)[0]}
+
+
+def _read(path: Path) -> tuple[Samples, dict[str, Any]]:
+    """The samples, and the other arguments of `table_from_points`."""
     try:
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
@@ -52,20 +64,15 @@ def read(path: Path) -> Table:
     known = wavelengths.min() > 0
     names = tuple(f"{w * 1e9:g} nm" for w in wavelengths) if known else ("Y",) * len(wavelengths)
     metadata = content.get("metadata")
-    return table_from_points(
-        path,
-        numbers[:, 1],
-        numbers[:, 2],
-        numbers[:, 3],
-        values,
-        names,
-        wavelengths_nm=tuple((wavelengths * 1e9).tolist()) if known else None,
-        provenance={
+    return Samples(numbers[:, 1], numbers[:, 2], numbers[:, 3], values), {
+        "channels": names,
+        "wavelengths_nm": tuple((wavelengths * 1e9).tolist()) if known else None,
+        "provenance": {
             "source": path.name,
             "format": "OpenMATERIAL",
             "description": str(metadata.get("name", ""))[:200] if isinstance(metadata, dict) else "",
         },
-    )
+    }
 
 
 def _get(content: Any, key: str, path: Path) -> Any:

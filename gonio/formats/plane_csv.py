@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gonio.formats.points import table_from_points
+from gonio.formats.samples import Samples
 from gonio.formats.text import to_numbers
 from gonio.table.table import Table
 from microgeometry.errors import InputError
@@ -35,6 +37,17 @@ def read(path: Path) -> Table:
     InputError
         A column that is missing or is no wavelength, a line of another length, or no numbers.
     """
+    samples, fields = _read(path)
+    return table_from_points(path, samples, **fields)
+
+
+def samples_of(path: Path) -> dict[str, Samples]:
+    """The file's samples, as `gonio.formats` has them; errors as `read`."""
+    return {"": _read(path)[0]}
+
+
+def _read(path: Path) -> tuple[Samples, dict[str, Any]]:
+    """The samples, and the other arguments of `table_from_points`."""
     text = path.read_bytes().decode("utf-8", "replace")
     lines = [line for line in text.splitlines() if line.strip()]
     names = [name.strip().lower() for name in lines[0].split(",")] if lines else []
@@ -54,20 +67,21 @@ def read(path: Path) -> Table:
     # a sample speaks for no more of the azimuth than of theta: a highlight is as narrow there
     taken = np.unique(measured)
     reach = 0.5 * float(np.median(np.diff(taken))) if len(taken) > 1 else None
-    return table_from_points(
-        path,
+    samples = Samples(
         np.radians(numbers[:, 0]),
         np.abs(measured),
         np.where(measured >= 0, np.pi, 0.0),
         numbers[:, 2:] / np.pi,
-        tuple(f"{w:g} nm" for w in wavelengths),
-        azimuth_reach=reach,
-        wavelengths_nm=tuple(wavelengths),
-        provenance={
+    )
+    return samples, {
+        "channels": tuple(f"{w:g} nm" for w in wavelengths),
+        "azimuth_reach": reach,
+        "wavelengths_nm": tuple(wavelengths),
+        "provenance": {
             "source": path.name,
             "format": "CSV of the plane of incidence",
             "lost": [
-                "nothing; but the albedo is of the plane of incidence's neighbourhood, all that was measured"
+                "the albedo, but for the neighbourhood of the plane of incidence, all that was measured"
             ],
         },
-    )
+    }

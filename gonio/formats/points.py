@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.formats.cells import cells_around, check_size, table_of
+from gonio.formats.samples import Samples
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -25,10 +26,7 @@ _SPARSE = 4.0  # places of a grid per sample
 
 def table_from_points(
     path: Path,
-    theta_i: Array,
-    theta_r: Array,
-    delta_phi: Array,
-    values: Array,
+    samples: Samples,
     channels: tuple[str, ...],
     std_error: Array | None = None,
     azimuth_reach: float | None = None,
@@ -40,11 +38,8 @@ def table_from_points(
     ----------
     path : Path
         Their file.
-    theta_i, theta_r : ndarray, shape (N,)
-        Radians, in [0, pi/2].
-    delta_phi : ndarray, shape (N,)
-        Radians; any, folded to [0, pi] here.
-    values : ndarray, shape (N, C)
+    samples : Samples
+        Of theta_i and theta_r in [0, pi/2].
     channels : tuple of str
     std_error : ndarray, shape (N, C), optional
     azimuth_reach : float, optional
@@ -57,6 +52,7 @@ def table_from_points(
     InputError
         No samples, or angles out of range.
     """
+    theta_i, theta_r, values = samples.theta_i, samples.theta_r, samples.values
     if len(theta_i) == 0:
         raise InputError(f"{path}: holds no samples")
     for name, angle in (("theta_i", theta_i), ("theta_r", theta_r)):
@@ -65,7 +61,7 @@ def table_from_points(
                 f"{path}: {name} from {np.degrees(angle.min()):.4g} to {np.degrees(angle.max()):.4g} degrees; "
                 "0 to 90 is allowed"
             )
-    delta_phi = np.abs((delta_phi + np.pi) % (2 * np.pi) - np.pi)
+    delta_phi = samples.folded
     rows, row = _nodes(np.clip(theta_i, 0, np.pi / 2))
     rings, ring = _nodes(np.clip(theta_r, 0, np.pi / 2))
     sectors, sector = _nodes(delta_phi)
@@ -104,7 +100,22 @@ def table_from_points(
         error = np.sqrt(mean(std_error**2) / np.maximum(count, 1))
         error[gaps] = np.inf
         fields["std_error"] = error
-    return table_of(mean(values), gaps, rows, edges, phi_edges, channels, **fields)
+    cells = mean(values)
+    if on_normal.any() and gaps[on_normal.any(axis=1), 1].any():
+        # The normal's cell, known at every azimuth, beside cells that are not: as in `cells_around`
+        edges, twice = _second_ring_split(edges)
+        cells, gaps = cells[:, twice], gaps[:, twice]
+        if std_error is not None:
+            fields["std_error"] = fields["std_error"][:, twice]
+    return table_of(cells, gaps, rows, edges, phi_edges, channels, **fields)
+
+
+def _second_ring_split(edges: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Rings of which the second has the first's size, and which ring each was; as they are where there is no room."""
+    cut = 2 * np.sin(edges[1]) ** 2
+    if len(edges) < 3 or cut >= np.sin(edges[2]) ** 2:
+        return edges, np.arange(len(edges) - 1)
+    return np.insert(edges, 2, np.arcsin(np.sqrt(cut))), np.sort([*range(len(edges) - 1), 1])
 
 
 def _nodes(angles: Array) -> tuple[Array, NDArray[np.int64]]:

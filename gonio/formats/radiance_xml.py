@@ -25,7 +25,8 @@ from gonio.formats.klems import BASES, Klems
 from gonio.formats.losses import common_losses
 from gonio.formats.radiance_document import document
 from gonio.formats.radiance_values import LEVELS, XYZ, matrix_texts, tree_texts
-from gonio.formats.tensor_tree import TensorTree, coordinates
+from gonio.formats.samples import Samples
+from gonio.formats.tensor_tree import TensorTree, coordinates, directions
 from gonio.formats.text import to_numbers
 from gonio.table.parts import TRANSMISSION
 from gonio.table.table import Table
@@ -34,9 +35,11 @@ from microgeometry.errors import InputError
 Array = NDArray[np.float64]
 
 _SECTORS = 36  # of delta phi, in reading a matrix
-
+_TREE = "TensorTree3"
+_COLOURS = ("cie-x", "visible", "cie-z"), ("visible", "cie-u", "cie-v")  # of matrices, of trees
 
 _RGB = np.linalg.inv(XYZ)
+_BASES_DIFFER = "{}: matrices of different bases; one basis for all is read"
 
 
 def read(path: Path) -> Table:
@@ -54,13 +57,38 @@ def read(path: Path) -> Table:
     InputError
         No XML, entities or a document type, no BSDF, an unknown basis, or numbers that are missing.
     """
+    known, structure, lost = _read(path)
+    tabulate = _tabulate_tree if structure == _TREE else _tabulate_matrix
+    tables = tabulate(path, known, structure)
+    main = tables.get("reflection")
+    if main is None:
+        part = tables[TRANSMISSION]
+        gaps = np.ones(part.values.shape[:3], bool)
+        main = part.replace(values=0 * part.values, row_albedo=0 * part.row_albedo, gaps=gaps)
+    parts = {TRANSMISSION: tables[TRANSMISSION]} if TRANSMISSION in tables else {}
+    provenance = {"source": path.name, "format": f"WINDOW/Radiance XML, {structure}", "lost": lost}
+    return main.replace(parts=parts, provenance=provenance)
+
+
+def samples_of(path: Path) -> dict[str, Samples]:
+    """The middles of patches or cells, of the side that is read, as `gonio.formats` has them; errors as `read`."""
+    known, structure, _ = _read(path)
+    middles = _cells_of_tree if structure == _TREE else _patches
+    return {
+        "" if name == "reflection" else name: middles(path, kinds, _coloured(known, structure), structure)
+        for name, kinds in known.items()
+    }
+
+
+def _read(path: Path) -> tuple[dict[str, dict[str, Element]], str, list[str]]:
+    """WavelengthDataBlocks by "reflection" or "transmission" and wavelengths, the structure, and what was lost."""
     try:
         root = safe_xml.fromstring(path.read_bytes(), forbid_dtd=True)
     except (ParseError, DefusedXmlException, ValueError, LookupError) as error:
         reason = " ".join(str(error).split())[:100] or type(error).__name__
         raise InputError(f"{path}: no XML that can be read safely ({reason}); copy it again") from error
     structure = next((_text(e) for e in _all(root, "IncidentDataStructure")), "")
-    if structure not in ("Columns", "Rows", "TensorTree3"):
+    if structure not in ("Columns", "Rows", _TREE):
         raise InputError(
             f"{path}: IncidentDataStructure {structure[:40]!r}; Columns, Rows and TensorTree3 (isotropic) are read"
         )
@@ -86,16 +114,11 @@ def read(path: Path) -> Table:
         raise InputError(
             f"{path}: no reflection or transmission in the wavelengths Visible; is it a BSDF file?"
         )
-    tabulate = _tabulate_tree if structure == "TensorTree3" else _tabulate_matrix
-    tables = tabulate(path, known, structure)
-    main = tables.get("reflection")
-    if main is None:
-        part = tables[TRANSMISSION]
-        gaps = np.ones(part.values.shape[:3], bool)
-        main = part.replace(values=0 * part.values, row_albedo=0 * part.row_albedo, gaps=gaps)
-    parts = {TRANSMISSION: tables[TRANSMISSION]} if TRANSMISSION in tables else {}
-    provenance = {"source": path.name, "format": f"WINDOW/Radiance XML, {structure}", "lost": lost}
-    return main.replace(parts=parts, provenance=provenance)
+    return known, structure, lost
+
+
+def _coloured(known: dict[str, dict[str, Element]], structure: str) -> bool:
+    return all(c in kinds for kinds in known.values() for c in _COLOURS[structure == _TREE])
 
 
 def write(table: Table, path: Path) -> list[str]:
@@ -154,18 +177,14 @@ def _data(block: Element, path: Path) -> str:
 
 
 def _tabulate_matrix(path: Path, known: dict[str, dict[str, Element]], structure: str) -> dict[str, Table]:
-    colours = ("cie-x", "visible", "cie-z")
-    coloured = all(c in kinds for kinds in known.values() for c in colours)
-    wanted = colours if coloured else ("visible",)
+    coloured = _coloured(known, structure)
     first: Klems | None = None
     tables = {}
     for name, kinds in known.items():
-        bases, matrices = zip(*(_matrix(kinds[kind], path, structure) for kind in wanted), strict=True)
-        if any(basis.name != (first or bases[0]).name for basis in bases):
-            raise InputError(f"{path}: matrices of different bases; one basis for all is read")
-        basis = first = bases[0]
-        data = np.stack(matrices, axis=-1)  # (out, in, channel)
-        data = data @ _RGB.T if coloured else data
+        basis, data = _matrices(path, kinds, coloured, structure)
+        if first is not None and basis.name != first.name:
+            raise InputError(_BASES_DIFFER.format(path))
+        first = basis
         phi_edges = np.linspace(0, np.pi, _SECTORS + 1)
 
         def look(
@@ -193,6 +212,25 @@ def _tabulate_matrix(path: Path, known: dict[str, dict[str, Element]], structure
     return tables
 
 
+def _patches(path: Path, kinds: dict[str, Element], coloured: bool, structure: str) -> Samples:
+    basis, data = _matrices(path, kinds, coloured, structure)
+    theta, phi = (
+        np.concatenate(a) for a in zip(*(basis.points(n, 1, 1) for n in range(basis.size)), strict=True)
+    )
+    # light comes from opposite to where the incident patch is
+    return Samples.on_grid(theta, theta[:, None], phi[:, None] - phi - np.pi, data)
+
+
+def _matrices(path: Path, kinds: dict[str, Element], coloured: bool, structure: str) -> tuple[Klems, Array]:
+    """Basis, and values by outgoing patch, incident patch and channel."""
+    wanted = _COLOURS[0] if coloured else ("visible",)
+    bases, matrices = zip(*(_matrix(kinds[kind], path, structure) for kind in wanted), strict=True)
+    if any(basis.name != bases[0].name for basis in bases):
+        raise InputError(_BASES_DIFFER.format(path))
+    data = np.stack(matrices, axis=-1)
+    return bases[0], data @ _RGB.T if coloured else data
+
+
 def _matrix(block: Element, path: Path, structure: str) -> tuple[Klems, Array]:
     """Basis, and values by outgoing and incident patch."""
     names = {
@@ -218,12 +256,8 @@ def _matrix(block: Element, path: Path, structure: str) -> tuple[Klems, Array]:
 
 
 def _tabulate_tree(path: Path, known: dict[str, dict[str, Element]], structure: str) -> dict[str, Table]:
-    colours = ("visible", "cie-u", "cie-v")
-    coloured = all(c in kinds for kinds in known.values() for c in colours)
-    trees = {
-        name: [TensorTree(_data(kinds[kind], path), path) for kind in (colours if coloured else colours[:1])]
-        for name, kinds in known.items()
-    }
+    coloured = _coloured(known, structure)
+    trees = {name: _trees(path, kinds, coloured) for name, kinds in known.items()}
     finest = max(tree.resolution for group in trees.values() for tree in group)
     n_channels = 3 if coloured else 1
     n = uniform_grid(path, n_channels * len(trees), min(90, finest))
@@ -235,14 +269,7 @@ def _tabulate_tree(path: Path, known: dict[str, dict[str, Element]], structure: 
         def look(
             row: int, theta: Array, phi: Array, group: list[TensorTree] = group
         ) -> tuple[Array, NDArray[np.bool_]]:
-            points = coordinates(rows[row], theta, phi)
-            luminance, *chroma = (tree.look_up(points) for tree in group)
-            values = luminance[:, None]
-            if chroma:
-                u, v = chroma[0], np.maximum(chroma[1], 1e-6)
-                xyz = np.stack([2.25 * u / v, np.ones_like(u), (3 - 0.75 * u - 5 * v) / v], axis=-1)
-                values = values * (xyz @ _RGB.T)
-            return values, np.ones(len(theta), bool)
+            return _look_up(group, coordinates(rows[row], theta, phi)), np.ones(len(theta), bool)
 
         values, gaps = average_cells(look, n, edges, phi_edges, n_channels)
         tables[name] = table_of(
@@ -257,4 +284,23 @@ def _tabulate_tree(path: Path, known: dict[str, dict[str, Element]], structure: 
     return tables
 
 
-# --- the document --------------------------------------------------------------------------------------
+def _trees(path: Path, kinds: dict[str, Element], coloured: bool) -> list[TensorTree]:
+    return [TensorTree(_data(kinds[kind], path), path) for kind in _COLOURS[1][: 3 if coloured else 1]]
+
+
+def _look_up(trees: list[TensorTree], points: Array) -> Array:
+    """Values at points of the unit cube, shape (N, C)."""
+    luminance, *chroma = (tree.look_up(points) for tree in trees)
+    values = luminance[:, None]
+    if chroma:
+        u, v = chroma[0], np.maximum(chroma[1], 1e-6)
+        xyz = np.stack([2.25 * u / v, np.ones_like(u), (3 - 0.75 * u - 5 * v) / v], axis=-1)
+        values = values * (xyz @ _RGB.T)
+    return values
+
+
+def _cells_of_tree(path: Path, kinds: dict[str, Element], coloured: bool, structure: str) -> Samples:
+    trees = _trees(path, kinds, coloured)
+    points = trees[0].middles()
+    points = points[points[:, 0] < 0.5]  # beyond there is no incidence
+    return Samples(*directions(points), _look_up(trees, points))

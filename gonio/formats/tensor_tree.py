@@ -94,6 +94,22 @@ class TensorTree:
         i = np.minimum((points * n[:, None]).astype(np.int64), n[:, None] - 1)
         return self.values[self._offset[node] + (i[:, 0] * n + i[:, 1]) * n + i[:, 2]]
 
+    def middles(self) -> Array:
+        """Of all cells, shape (N, 3)."""
+        points = []
+        node, low, size = np.zeros(1, np.int64), np.zeros((1, _RANK)), 1.0
+        while len(node):
+            branch = self._children[node, 0] >= 0
+            for n in np.unique(self._cells[node[~branch]]):
+                inside = (np.indices((n, n, n)).reshape(_RANK, -1).T + 0.5) / n
+                leaves = low[~branch & (self._cells[node] == n)]
+                points.append((leaves[:, None] + size * inside).reshape(-1, _RANK))
+            size *= 0.5
+            corners = size * (np.arange(2**_RANK)[:, None] >> np.arange(_RANK) & 1)
+            low = (low[branch][:, None] + corners).reshape(-1, _RANK)
+            node = self._children[node[branch]].ravel()
+        return np.concatenate(points)
+
 
 def _close(children: list[int], n_words: int, path: Path) -> int:
     """Cells per axis of what stood between two braces; 0 for a node with branches."""

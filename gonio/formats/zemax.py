@@ -11,9 +11,9 @@ azimuths 0 to 180 degrees.
 
 The ``TIS`` line of a row states its total reflectance. OpticStudio scales the values to it. That is no reason
 to read them so: where an instrument sees 80 degrees about the mirror direction TIS holds what lies beyond as
-well, and where a mirror's share is in no sample TIS holds that; scaled values would be too bright, by 3 to 19 %
+well, and where a mirror's share is in no sample TIS holds that; scaled values would be too bright, by 3 to 18 %
 and by 50 times in Ansys's examples. So values are read as they stand, and both reflectances are kept in
-the provenance, under ``tis`` and ``integral``.
+the provenance, under ``tis`` and ``integral``, and ``lost`` says where they differ.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from numpy.typing import NDArray
 
 from gonio.core.directions import direction, projected_solid_angles
 from gonio.files import atomic
-from gonio.formats.cells import average_cells, check_size, table_of
+from gonio.formats.cells import average_cells, check_size, justified_bytes, table_of
 from gonio.formats.colour import RGB_TO_XYZ, XYZ_TO_RGB, check_colour
 from gonio.formats.grid import close_circle, interpolate
-from gonio.formats.losses import common_losses
+from gonio.formats.losses import common_losses, stated_reflectance
+from gonio.formats.samples import Samples
 from gonio.formats.text import Words, angles
 from gonio.table.parts import TRANSMISSION
 from gonio.table.table import Table
@@ -39,6 +40,7 @@ Array = NDArray[np.float64]
 _CHANNELS = {"monochrome": ("Monochrome",), "xyz": ("TristimulusX", "TristimulusY", "TristimulusZ")}
 _SYMMETRIES = ("planesymmetrical", "asymmetrical", "asymmetrical4d")
 _LISTS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
+_COARSEST = 18  # cells per quarter turn
 _AZIMUTHS = np.arange(0.0, 181.0, 5.0)
 _RADIALS = np.concatenate(
     [np.arange(*span) for span in ((0, 2, 0.25), (2, 5, 0.5), (5, 15, 1.0), (15, 45, 2.5), (45, 181, 5.0))]
@@ -61,6 +63,27 @@ def read(path: Path) -> Table:
     InputError
         A keyword that is missing or unknown, angles that do not increase, or numbers that are missing.
     """
+    header, axes, data, tis = _read(path)
+    rotations = axes[_LISTS[0]]
+    full_turn = len(rotations) > 1 and rotations[-1] - rotations[0] > 2 * np.pi - 1e-6
+    turns = slice(0, -1 if full_turn else None)
+    data, tis = data[turns].mean(axis=0), tis[turns].mean(axis=0)
+    lost = [f"{len(rotations)} rotations of the sample: they are averaged"] if len(rotations) > 1 else []
+    return _tabulate(path, header, tuple(axes[name] for name in _LISTS[1:]), data, tis, lost)
+
+
+def samples_of(path: Path) -> dict[str, Samples]:
+    """The file's samples above the horizon, as `gonio.formats` has them; errors as `read`."""
+    header, axes, data, _ = _read(path)
+    aoi, azimuth, radial = (axes[name] for name in _LISTS[1:])
+    theta_r, phi = _from_specular(aoi[:, None, None], azimuth[:, None], radial)
+    samples = Samples.on_grid(aoi[:, None, None], theta_r, phi, data)
+    above = samples.where(samples.theta_r < np.pi / 2)
+    return {"" if header["ScatterType"] == "brdf" else TRANSMISSION: above}
+
+
+def _read(path: Path) -> tuple[dict[str, str], dict[str, Array], Array, Array]:
+    """Header, lists of angles, and values and TIS by rotation, angle of incidence (azimuth, radial), channel."""
     words = Words(path)
     header, axes = _read_header(words)
     rotations, aoi, azimuths, radials = (axes[name] for name in _LISTS)
@@ -77,14 +100,9 @@ def read(path: Path) -> Table:
             block = words.numbers(shape[2] * shape[3], f"{name}, angle of incidence {incidence + 1}")
             data[rotation, incidence, :, :, c] = block.reshape(shape[2:])
         _expect(words, "DataEnd")
-    full_turn = len(rotations) > 1 and rotations[-1] - rotations[0] > 2 * np.pi - 1e-6
-    turns = slice(0, -1 if full_turn else None)
-    data, tis = data[turns].mean(axis=0), tis[turns].mean(axis=0)
-    channels = ("Y",) if len(names) == 1 else ("R", "G", "B")
     if len(names) == 3:
         data, tis = data @ XYZ_TO_RGB.T, tis @ XYZ_TO_RGB.T
-    lost = [f"{len(rotations)} rotations of the sample: they are averaged"] if len(rotations) > 1 else []
-    return _tabulate(path, header, (aoi, azimuths, radials), data, tis, channels, lost)
+    return header, axes, data, tis
 
 
 def write(table: Table, path: Path) -> list[str]:
@@ -184,28 +202,35 @@ def _read_header(words: Words) -> tuple[dict[str, str], dict[str, Array]]:
 def _tabulate(
     path: Path,
     header: dict[str, str],
-    axes: tuple[Array, Array, Array],
+    axes: tuple[Array, ...],
     data: Array,
     tis: Array,
-    channels: tuple[str, ...],
     lost: list[str],
 ) -> Table:
     """The table of values on (angle of incidence, azimuth, radial, channel)."""
     aoi, azimuths, radials = axes
-    n = _resolution(azimuths, radials)
-    check_size(path, len(aoi) * 2 * n**2 * len(channels), f"{len(aoi)} angles of incidence")
+    channels = ("Y",) if tis.shape[-1] == 1 else ("R", "G", "B")
+    per_cell = 2 * len(aoi) * len(channels)
+    n = min(_resolution(radials), int(np.sqrt(justified_bytes(path) / (8 * per_cell))))
+    n = max(n, _COARSEST)
+    check_size(path, per_cell * n**2, f"{len(aoi)} angles of incidence")
     edges, phi_edges = np.linspace(0, np.pi / 2, n + 1), np.linspace(0, np.pi, 2 * n + 1)
     one_side = azimuths[-1] <= np.pi + 1e-6
+    data = _continued(data, aoi, azimuths, radials)
 
     def look(row: int, theta_r: Array, phi: Array) -> tuple[Array, NDArray[np.bool_]]:
         azimuth, radial = _to_specular(float(aoi[row]), theta_r, phi)
         azimuth = np.abs(azimuth) if one_side else azimuth % (2 * np.pi)
+        # the cells that hold the outermost samples are known, and so are those that are interpolated to from there
+        nearest = np.clip(radial, radials[0], radials[-1])
+        radial = np.where(np.abs(radial - nearest) < 0.5 * np.pi / n, nearest, radial)
         nodes, values = close_circle(azimuths, data[row])
         found, inside = interpolate(values, nodes, radials, azimuth, radial)
         return found, inside
 
     values, gaps = average_cells(look, len(aoi), edges, phi_edges, len(channels), points=(2, 2))
     integral = np.einsum("irpc,rp->ic", values, projected_solid_angles(edges, phi_edges))
+    lost = [*lost, *stated_reflectance(tis, integral, "the reflectance TIS", "OpticStudio scales")]
     provenance = {
         "source": path.name,
         "format": "Zemax",
@@ -220,10 +245,22 @@ def _tabulate(
     return dark.replace(parts={TRANSMISSION: table.replace(provenance={})})
 
 
-def _resolution(azimuths: Array, radials: Array) -> int:
-    """Cells per quarter turn: half the closest spacing of the radial angles, 1 to 5 degrees."""
+def _resolution(radials: Array) -> int:
+    """Cells per quarter turn: a quarter of the closest spacing of the radial angles, 1 to 5 degrees."""
     spacing = np.diff(radials).min() if len(radials) > 1 else np.pi / 2
-    return int(np.clip(np.ceil(np.pi / spacing), 18, 90))
+    return int(np.clip(np.ceil(2 * np.pi / spacing), _COARSEST, 90))
+
+
+def _continued(data: Array, aoi: Array, azimuths: Array, radials: Array) -> Array:
+    """The values, with the zeros below the horizon exchanged for what is last above it along the radial angle.
+
+    Between samples f does not fall to 0 towards the horizon; f cos(theta_r) does.
+    """
+    theta_r, _ = _from_specular(aoi[:, None, None], azimuths[:, None], radials)
+    below = np.cos(theta_r) < 1e-6
+    # the mirror direction itself is above, but for light that grazes
+    last = np.maximum.accumulate(np.where(below, 0, np.arange(len(radials))), axis=2)
+    return np.take_along_axis(data, last[..., None], axis=2)
 
 
 def _to_specular(theta_i: float, theta_r: Array, phi: Array) -> tuple[Array, Array]:
@@ -234,7 +271,7 @@ def _to_specular(theta_i: float, theta_r: Array, phi: Array) -> tuple[Array, Arr
     return np.arctan2(y, towards_normal), np.arctan2(np.hypot(towards_normal, y), along)
 
 
-def _from_specular(theta_i: float, azimuth: Array, radial: Array) -> tuple[Array, Array]:
+def _from_specular(theta_i: Array | float, azimuth: Array, radial: Array) -> tuple[Array, Array]:
     """Polar angle and delta phi, the inverse of `_to_specular`; broadcast."""
     towards_normal, y = np.sin(radial) * np.cos(azimuth), np.sin(radial) * np.sin(azimuth)
     along = np.cos(radial) + 0 * azimuth

@@ -42,12 +42,19 @@ def check_asymmetric(table, channel=0, scale=1.0):
 
 
 def test_cells_around_nodes():
+    """A space begins and ends with a cell of the size, in sin^2 theta, of the node's cell beside it."""
     edges, source = cells_around(np.radians([0.0, 10, 20, 90]), np.pi / 2)
-    np.testing.assert_allclose(np.degrees(edges), [0, 5, 15, 30, 80, 90])
-    assert source.tolist() == [0, 1, 2, -1, 3]
+    u = np.sin(np.radians([15, 30, 80, 90])) ** 2
+    beside = np.degrees(np.arcsin(np.sqrt([2 * u[1] - u[0], 2 * u[2] - u[3]])))
+    np.testing.assert_allclose(np.degrees(edges), [0, 5, 15, 30, *beside, 80, 90])
+    assert source.tolist() == [0, 1, 2, -1, -1, -1, 3]
     edges, source = cells_around(np.array([0.0, np.pi]), np.pi)
-    np.testing.assert_allclose(np.degrees(edges), [0, 22.5, 157.5, 180])
-    assert source.tolist() == [0, -1, 1]
+    np.testing.assert_allclose(np.degrees(edges), [0, 22.5, 45, 135, 157.5, 180])
+    assert source.tolist() == [0, -1, -1, -1, 1]
+    # beyond the last node a cell ends at the step before it, and without room for two a space is one cell
+    edges, source = cells_around(np.radians([80.0, 82, 84]), np.pi / 2)
+    np.testing.assert_allclose(np.degrees(edges[2:]), [78, 81, 83, 86, 90])
+    assert source.tolist() == [-1, -1, 0, 1, 2, -1]
 
 
 # --- CSV and NPZ -----------------------------------------------------------------------------------------
@@ -272,8 +279,12 @@ def test_real_openmaterial(real_data):
     lidar = Table.load(folder / "example_material_lidar_brdf.xompt")
     assert lidar.wavelengths_nm == pytest.approx((905.0,))
     assert lidar.values.max() == pytest.approx(1.3255e-3)
-    assert np.all(lidar.gaps[:, 1:, 1])
-    assert not np.any(lidar.gaps[:, :, [0, 2]])
+    assert np.all(lidar.gaps[:, 1:, 1:-1])
+    assert not np.any(lidar.gaps[:, :, [0, -1]])
+    # interpolated over the gaps they were half and an eighth of the file's
+    mirror = lidar.eval(direction(np.radians(88)), direction(np.radians(60), np.pi))
+    assert mirror[0] == pytest.approx(lidar.values[2, 61, -1, 0], rel=1e-3)
+    assert camera.eval(direction(0.5), direction(0.0))[0] == pytest.approx(1.4e-5, abs=2e-6)
     assert check(camera).passed
     assert check(lidar).passed
 
