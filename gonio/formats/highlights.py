@@ -30,7 +30,9 @@ _ANGLES_DEG = 25.0, 40.0  # where neither the light's own shadow nor the horizon
 _CHECKED_DEG = 10.0, 30.0, 45.0, 60.0, 75.0, 80.0
 _DIRECTIONS = 5000
 _HALF = np.sqrt(np.log(2.0))  # a Gaussian exp(-s^2 / alpha^2) is halved there
-_FINER, _SECTORS = 0.5, 24  # than a trace's grid: measured highlights are lopsided, and lean with theta_i
+_FINER = 0.5  # than a trace's grid: measured highlights are lopsided, and lean with theta_i
+_INNER = 3  # rings more, each half as wide: some have a spike at the mirror direction
+_SECTORS, _CROWDING = 48, 1.25  # across the plane of incidence, where what an instrument blurs is a streak
 _WITHIN = 2, 3  # points of a cell of the grid, along the slope and around
 _POINTS = 6  # along each side of a cell of the table, in theta_r and delta phi
 
@@ -53,7 +55,7 @@ def resolved(table: Table, brdf: Brdf) -> Table:
     if alpha > _WIDEST:
         return table
     step = float(np.degrees(np.median(np.diff(table.theta_r_edges))))
-    grid = PeakGrid(grid_of([_FINER * alpha], step).slope_edges, np.linspace(0.0, np.pi, _SECTORS + 1))
+    grid = _measured_grid(_FINER * alpha, step)
     assert table.theta_i_edges is not None
     values, g = table.values.copy(), np.zeros((len(table.theta_i), *grid.areas.shape, len(table.channels)))
     areas = table.projected_solid_angles
@@ -72,6 +74,15 @@ def resolved(table: Table, brdf: Brdf) -> Table:
         values[table.gaps] = 0.0
     albedo = np.einsum("irpc,rp->ic", values, areas)
     return table.replace(values=values, row_albedo=albedo, peak=Peak(g, *grid))
+
+
+def _measured_grid(alpha: float, step_deg: float) -> PeakGrid:
+    """Cells for a highlight of such facets, and for what measured ones have besides."""
+    slopes = grid_of([alpha], step_deg).slope_edges
+    inner = slopes[1] * 0.5 ** np.arange(_INNER, 0, -1)
+    across = np.linspace(-1.0, 1.0, _SECTORS + 1)
+    psi = 0.5 * np.pi * (1.0 + np.sign(across) * np.abs(across) ** _CROWDING)
+    return PeakGrid(np.concatenate([[0.0], inner, slopes[1:]]), psi)
 
 
 def resampling_error(table: Table, brdf: Brdf) -> tuple[float, float, float]:
