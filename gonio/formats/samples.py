@@ -77,8 +77,7 @@ def sample_error(table: Table, samples: Samples) -> tuple[float, float, float]:
     solid_angles = np.diff(-np.cos(table.theta_r_edges))[:, None] * np.diff(table.delta_phi_edges)
     weight = np.cos(samples.theta_r) * solid_angles[rings, sectors] / np.bincount(places)[places]
     wi, wo = direction(samples.theta_i), direction(samples.theta_r, samples.delta_phi)
-    above = wo[:, 2] > 1e-6  # on the horizon a table is 0
-    difference = np.where(above[:, None], table.eval(wi, wo) - samples.values, 0.0)
+    difference = table.eval(wi, wo) - samples.values
     squares, norms = (
         np.bincount(row, weight * np.nansum(x**2, axis=1)) for x in (difference, samples.values)
     )

@@ -42,8 +42,16 @@ def test_the_width_is_found(alpha):
     assert highlight_alpha(metal(alpha)) == pytest.approx(alpha, rel=0.12)
 
 
+def slopes(theta_i, theta_o, phi):
+    """Of the half vector, along the plane of incidence and across it."""
+    x, y, z = np.moveaxis(direction(theta_i) + direction(theta_o, phi), -1, 0)
+    return x / z, y / z
+
+
 def test_what_is_no_highlight_is_wide():
     assert highlight_alpha(lambda theta_i, theta_o, phi: np.ones((len(phi), 1))) > 0.4
+    # darkest in the mirror direction
+    assert highlight_alpha(lambda *angles: np.hypot(*slopes(*angles))[:, None] ** 2) == 1.0
 
 
 @pytest.mark.parametrize("alpha", [0.005, 0.02])
@@ -64,6 +72,28 @@ def test_wide_highlights_and_coarse_tables_stay_as_they_are():
     wide, narrow = sampled(metal(0.3)), sampled(metal(0.02), 20)
     assert resolved(wide, metal(0.3)) is wide
     assert resolved(narrow, metal(0.02)) is narrow
+    # neither by what the table says alone, nor by the function alone
+    assert resolved(wide, metal(0.02)) is wide
+    fine = sampled(metal(0.02))
+    assert resolved(fine, metal(0.3)) is fine
+
+
+def spike(theta_i, theta_o, phi):
+    """Near normal incidence five times as bright in the mirror direction, within a tenth of the width."""
+    x, y = slopes(theta_i, theta_o, phi)
+    more = 4 * np.exp(-((theta_i / 0.2) ** 2) - np.hypot(x, y) / 0.0012)
+    return (np.exp(-(x**2 + y**2) / 0.012**2) * (1 + more) / np.cos(theta_i) / np.cos(theta_o))[:, None]
+
+
+def streak(theta_i, theta_o, phi):
+    """Eight times as wide across the plane of incidence."""
+    x, y = slopes(theta_i, theta_o, phi)
+    return (np.exp(-((x / 0.012) ** 2) - (y / 0.1) ** 2) / np.cos(theta_i) / np.cos(theta_o))[:, None]
+
+
+@pytest.mark.parametrize(("brdf", "worst"), [(spike, 0.035), (streak, 0.028)])
+def test_what_measured_highlights_have_besides(brdf, worst):
+    assert resampling_error(resolved(sampled(brdf), brdf), brdf)[1] < worst
 
 
 def test_the_error_of_resampling():
@@ -72,6 +102,9 @@ def test_the_error_of_resampling():
     assert resampling_error(even, lambda theta_i, theta_o, phi: np.full((len(phi), 1), 0.2))[1] < 1e-6
     half = resampling_error(even, lambda theta_i, theta_o, phi: np.full((len(phi), 1), 0.1))
     assert half[:2] == pytest.approx((1.0, 1.0), rel=1e-6)
+    # weighted with the cosine: half of it beyond 60 degrees is a square of 1/8 of all, of which it keeps a quarter
+    grazing = resampling_error(even, lambda theta_i, theta_o, phi: 0.1 * (2 - (theta_o > np.pi / 3))[:, None])
+    assert grazing[0] == pytest.approx(np.sqrt((1 / 8) / (4 * 7 / 8 + 1 / 8)), rel=0.06)
     table = sampled(metal(0.02))
     before, after = (resampling_error(t, metal(0.02)) for t in (table, resolved(table, metal(0.02))))
     assert before[0] > 0.5

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 from gonio import formats
 from gonio.core.directions import direction
 from gonio.formats.samples import Samples, sample_error
-from gonio.formats.tensor_tree import directions, tree_text
+from gonio.formats.tensor_tree import TensorTree, directions, tree_text
 from gonio.table.table import Table
 from tests.formats.test_lists import write_astm, write_lighttools, write_openmaterial
 from tests.formats.test_radiance_xml import document, matrix_text
@@ -54,7 +56,14 @@ def test_samples_are_the_file_s(name, tmp_path):
     """Each, up to a factor of its angle of incidence, channel and side (rotation), is the function at its angles."""
     path = tmp_path / name
     FILES[name](path)
-    for samples in read_samples(path).values():
+    table = Table.load(path)
+    for part, samples in read_samples(path).items():
+        assert samples.theta_r.max() <= np.pi / 2 + 1e-9
+        error = sample_error(table.parts[part] if part else table, samples)[0]
+        # two rotations of once and twice the same are off their mean by 0.5 of sqrt(2.5)
+        assert error == pytest.approx(0.316, abs=0.01) if name == "t.anisotropicbsdf" else error < 0.12
+        if name == "l.bsdf":
+            np.testing.assert_allclose(samples.values, samples.values[:, [0]] * np.ones(3), rtol=1e-5)
         away = samples.where(samples.theta_r < 1.5)
         f = asymmetric(direction(away.theta_i), direction(away.theta_r, away.delta_phi))
         for values in away.values.T:
@@ -86,6 +95,21 @@ def test_the_error_is_weighted_with_the_cosine_and_the_solid_angle():
     assert (median, worst, at_deg) == pytest.approx((expected, 0.5, np.degrees(0.9)), rel=1e-4)
 
 
+def test_middles_of_a_tree():
+    """The fifth child is that of bit 2: the upper half of the last axis."""
+    text = "{{1}{2}{3}{4}{1 2 3 4 5 6 7 8}{6}{7}{8}}"
+    middles = TensorTree(text, None).middles()
+    np.testing.assert_allclose(middles[np.all(middles % 0.5 == 0.25, axis=1)].sum(axis=0), [3.75, 3.75, 3.25])
+    small = middles[np.any(middles % 0.5 != 0.25, axis=1)]
+    assert len(small) == 8
+    np.testing.assert_allclose(small.mean(axis=0), [0.25, 0.25, 0.75])
+
+
+def test_a_tree_has_no_incidence_in_its_other_half(tmp_path):
+    FILES["tree.xml"](tmp_path / "t.xml")
+    assert read_samples(tmp_path / "t.xml")[""].theta_i.min() > 0
+
+
 def test_conversions_say_nothing_of_samples_that_are_kept(tmp_path):
     write_file(tmp_path / "z.bsdf", lambert)
     done = formats.convert(tmp_path / "z.bsdf", tmp_path / "z.h5")
@@ -99,7 +123,9 @@ def test_the_part_asked_for_is_compared(tmp_path):
     both = formats.convert(tmp_path / "t.brdf", tmp_path / "t.h5").lost
     below = formats.convert(tmp_path / "t.brdf", tmp_path / "t.h5", "transmission").lost
     assert sum("samples:" in line for line in both) == 1
-    assert [line for line in below if "samples" in line] == [line for line in both if "samples of tr" in line]
+    said = [line for line in below if "samples" in line]
+    assert said == [line for line in both if "samples of tr" in line]
+    assert float(re.search(r"differs by ([\d.]+) %", said[0])[1]) < 5
 
 
 def test_measurements_in_a_plane_keep_their_scale(tmp_path):

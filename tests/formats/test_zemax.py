@@ -7,6 +7,7 @@ import pytest
 
 from gonio.core.directions import direction
 from gonio.formats import zemax
+from gonio.formats.samples import sample_error
 from gonio.table.checks import check
 from gonio.table.table import Table
 from microgeometry.errors import InputError
@@ -95,6 +96,7 @@ def test_transmission_is_a_part(tmp_path):
 
 
 def test_unmeasured_directions_are_gaps(tmp_path):
+    """Beyond 30 degrees about the specular direction; samples at 30 are met as well as others."""
     path = write_file(tmp_path / "a.bsdf", lambert)
     text = path.read_text().replace("ScatterRadial 37", "ScatterRadial 7")
     lines = [
@@ -102,10 +104,32 @@ def test_unmeasured_directions_are_gaps(tmp_path):
     ]
     path.write_text("\n".join(lines))
     table = Table.load(path)
-    # within 30 degrees of the specular direction
-    assert not table.gaps[1, 9, -1]
-    assert table.gaps[1, 15, 0]
-    assert table.values[1, 15, 0, 0] == 0
+    retro, mirror = (table.theta_r_edges.searchsorted(np.radians(a)) - 1 for a in (33, 25))
+    assert not table.gaps[1, mirror, -1]
+    assert table.gaps[1, retro, 0]
+    assert table.values[1, retro, 0, 0] == 0
+    samples = zemax.samples_of(path)[""]
+    np.testing.assert_allclose(
+        table.eval(direction(samples.theta_i), direction(samples.theta_r, samples.delta_phi))[:, 0],
+        samples.values[:, 0],
+        rtol=0.05,
+    )
+
+
+def test_highlights_between_coarse_angles_are_met(tmp_path):
+    """Half as bright one sample of 5 degrees off the mirror direction."""
+
+    def glossy(wi, wo):
+        return np.exp(-((np.arccos(np.clip(wo @ (wi[0] * [-1, 1, 1]), -1, 1)) / np.radians(6)) ** 2))
+
+    path = write_file(tmp_path / "a.bsdf", glossy)
+    assert sample_error(Table.load(path), zemax.samples_of(path)[""])[1] < 0.08
+
+
+def test_a_small_file_gets_larger_cells(tmp_path, monkeypatch):
+    path = write_file(tmp_path / "a.bsdf", lambert)
+    monkeypatch.setattr(zemax, "justified_bytes", lambda path: 8 * 2 * len(AOI) * 20**2)
+    assert Table.load(path).values.shape == (len(AOI), 20, 40, 1)
 
 
 @pytest.mark.compiled
