@@ -149,14 +149,15 @@ def _tell(result: Fit) -> None:
 def _rank(name: str, fits: list[Fit]) -> None:
     """The fits of one table as lines, the best first."""
     best = fits[0].criterion
+    width = max(len(each.model) for each in fits)
     click.echo(f"{name}: {fits[0].cells_used} cells, minimised {fits[0].objective}")
     click.echo(
-        f"{'':>4}  {'model':48}{'BIC - best':>12}{'ngan_l2 (rel.)':>16}{'low_log':>11}{'albedo':>9}{'s':>7}"
+        f"{'':>4}  {'model':{width}}{'BIC - best':>12}{'ngan_l2 (rel.)':>16}{'low_log':>11}{'albedo':>9}{'s':>7}"
     )
     for rank, each in enumerate(fits, 1):
         above = 0.0 if each.criterion is None or best is None else each.criterion - best
         click.echo(
-            f"{rank:4}  {each.model:48}{above:12.4g}{each.residuals['relative_ngan_l2']:16.4f}"
+            f"{rank:4}  {each.model:{width}}{above:12.4g}{each.residuals['relative_ngan_l2']:16.4f}"
             f"{each.residuals['low_log']:11.4g}{each.albedo['largest']:9.3f}{each.seconds:7.2f}"
             + ("" if each.albedo["conserves_energy"] else "  creates energy")
             + ("  time limit" if LATE in each.notes else "")
@@ -171,8 +172,11 @@ def _summary(found: dict[str, list[Fit]]) -> None:
         of = [e.residuals["relative_ngan_l2"] for fits in found.values() for e in fits if e.model == name]
         medians[name] = float(np.median(of)), len(of)
     click.echo(f"all {len(found)} tables: median relative ngan_l2")
+    width = max(map(len, names))
     for name, (value, count) in sorted(medians.items(), key=lambda item: item[1]):
-        click.echo(f"{'':6}{name:48}{value:12.4f}" + (f"  ({count} tables)" if count < len(found) else ""))
+        click.echo(
+            f"{'':6}{name:{width}}{value:12.4f}" + (f"  ({count} tables)" if count < len(found) else "")
+        )
 
 
 @click.command("fit-merl")
