@@ -302,5 +302,5 @@ def _look_up(trees: list[TensorTree], points: Array) -> Array:
 def _cells_of_tree(path: Path, kinds: dict[str, Element], coloured: bool, structure: str) -> Samples:
     trees = _trees(path, kinds, coloured)
     points = trees[0].middles()
-    points = points[points[:, 0] < 0.5]  # beyond there is no incidence
+    points = points[points[:, 0] <= 0.5]  # beyond there is no incidence
     return Samples(*directions(points), _look_up(trees, points))

@@ -60,7 +60,7 @@ class Samples:
 
 
 def sample_error(table: Table, samples: Samples) -> tuple[float, float, float]:
-    """How far a table is from the samples it was made of, where they stand.
+    """How far a table is from the samples it was made of, where they stand; all 0 where none is above the horizon.
 
     Returns
     -------
@@ -70,6 +70,8 @@ def sample_error(table: Table, samples: Samples) -> tuple[float, float, float]:
     at_deg : float
         Where the worst is.
     """
+    if len(samples.theta_i) == 0:
+        return 0.0, 0.0, 0.0
     rings = _cell(table.theta_r_edges, samples.theta_r)
     sectors = _cell(table.delta_phi_edges, samples.folded)
     angles, row = np.unique(np.round(samples.theta_i / _SAME), return_inverse=True)

@@ -98,7 +98,9 @@ SAMPLES = {
     "plane.csv": write_plane,
     "rgl.bsdf": rgl,
     "spectral.bsdf": lambda path: rgl(path, (450.0, 500.0, 550.0, 600.0)),
-    "zemax.bsdf": lambda path: write_file(path, asymmetric, azimuths=np.arange(0, 361, 120)),
+    "zemax.bsdf": lambda path: write_file(
+        path, asymmetric, azimuths=np.arange(0, 361, 120), radials=range(0, 181, 20)
+    ),
     "lighttools.bsdf": lambda path: write_lighttools(path, tuple(range(0, 361, 120))),
     "t.brdf": lambda path: write_brdf(path, asymmetric, (1, 1), wavelengths=(550.0,)),
     "t.anisotropicbsdf": lambda path: write_anisotropic(path, asymmetric),

@@ -108,6 +108,17 @@ def test_middles_of_a_tree():
 def test_a_tree_has_no_incidence_in_its_other_half(tmp_path):
     FILES["tree.xml"](tmp_path / "t.xml")
     assert read_samples(tmp_path / "t.xml")[""].theta_i.min() > 0
+    # the middle of a single cell is light along the normal
+    (tmp_path / "one.xml").write_text(
+        document("TensorTree3", [("Visible", "Reflection Front", "LBNL/Shirley-Chiu", "{ 0.25 }")])
+    )
+    one = read_samples(tmp_path / "one.xml")[""]
+    assert (one.theta_i.tolist(), one.values.tolist()) == ([0.0], [[0.25]])
+
+
+def test_without_samples_there_is_no_error():
+    nothing = Samples(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 3)))
+    assert sample_error(make(lambert, grid(6, 6, 8)), nothing) == (0.0, 0.0, 0.0)
 
 
 def test_conversions_say_nothing_of_samples_that_are_kept(tmp_path):

@@ -27,14 +27,23 @@ def specular_direction(aoi, azimuth, radial):
     return np.cos(r) * mirror + np.sin(r) * (np.cos(z) * to_normal + np.sin(z) * across)
 
 
-def write_file(path, brdf, symmetry="Asymmetrical", azimuths=AZIMUTHS, kind="BRDF", tis=0.5, rotations=(0,)):
+def write_file(
+    path,
+    brdf,
+    symmetry="Asymmetrical",
+    azimuths=AZIMUTHS,
+    kind="BRDF",
+    tis=0.5,
+    rotations=(0,),
+    radials=RADIALS,
+):
     lines = ["# made by hand", "Source  Measured", f"Symmetry  {symmetry}", "SpectralContent  Monochrome"]
     lines += [f"ScatterType  {kind}"]
     for name, values in (
         ("SampleRotation", rotations),
         ("AngleOfIncidence", AOI),
         ("ScatterAzimuth", azimuths),
-        ("ScatterRadial", RADIALS),
+        ("ScatterRadial", radials),
     ):
         lines += [f"{name} {len(values)}", "\t".join(map(str, values))]
     lines += ["", "Monochrome", "DataBegin"]
@@ -43,7 +52,7 @@ def write_file(path, brdf, symmetry="Asymmetrical", azimuths=AZIMUTHS, kind="BRD
             lines.append(f"TIS {tis}")
             wi = direction(np.radians(aoi))
             for azimuth in azimuths:
-                wo = np.array([specular_direction(aoi, azimuth, r) for r in RADIALS])
+                wo = np.array([specular_direction(aoi, azimuth, r) for r in radials])
                 values = np.where(wo[:, 2] > 0, brdf(wi[None], wo), 0) * (n + 1)
                 lines.append("\t".join(f"{v:.6e}" for v in values))
     lines.append("DataEnd")
