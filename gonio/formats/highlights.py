@@ -32,7 +32,7 @@ _DIRECTIONS = 5000
 _HALF = np.sqrt(np.log(2.0))  # a Gaussian exp(-s^2 / alpha^2) is halved there
 _FINER = 0.5  # than a trace's grid: measured highlights are lopsided, and lean with theta_i
 _INNER = 3  # rings more, each half as wide: some have a spike at the mirror direction
-_SECTORS, _CROWDING = 48, 1.25  # across the plane of incidence, where what an instrument blurs is a streak
+_SECTORS, _CROWDING = 32, 1.25  # across the plane of incidence, where what an instrument blurs is a streak
 _WITHIN = 2, 3  # points of a cell of the grid, along the slope and around
 _POINTS = 6  # along each side of a cell of the table, in theta_r and delta phi
 

@@ -91,7 +91,7 @@ def streak(theta_i, theta_o, phi):
     return (np.exp(-((x / 0.012) ** 2) - (y / 0.1) ** 2) / np.cos(theta_i) / np.cos(theta_o))[:, None]
 
 
-@pytest.mark.parametrize(("brdf", "worst"), [(spike, 0.035), (streak, 0.028)])
+@pytest.mark.parametrize(("brdf", "worst"), [(spike, 0.035), (streak, 0.045)])
 def test_what_measured_highlights_have_besides(brdf, worst):
     assert resampling_error(resolved(sampled(brdf), brdf), brdf)[1] < worst
 
