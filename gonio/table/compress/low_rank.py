@@ -26,9 +26,10 @@ from scipy import fft, ndimage, sparse
 from gonio.core.directions import half_difference
 from gonio.table.compress.dct import order
 from gonio.table.compress.frame import Frame, hold, shape_of
-from gonio.table.compress.metric import cosine_weights
+from gonio.table.compress.metric import cosine_weights, excess
 from gonio.table.compress.packing import pack_sparse, step_of, unpack_sparse
 from gonio.table.table import Table
+from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
 Sizes = tuple[int, int, int]
@@ -46,6 +47,10 @@ def encode(table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
     first = Frame.of(table, bounds)
     importance = _importance(first, shape)
     grid, weights = _fit(table, interpolation, importance, sizes)
+    # a grid coarser than the table may not hold the bounds at any step: looking for one takes long
+    unrounded = first.correct((interpolation @ grid.reshape(-1, shape[3])).reshape(shape))
+    if excess(table, unrounded, bounds).max() > 1:
+        raise InputError("max_error: no step of quantisation holds it; the grid of the factors is too coarse")
     # components of what the error sees
     basis, _, _ = np.linalg.svd(
         (grid * weights[:, None, None, None]).reshape(sizes[0], -1), full_matrices=False
