@@ -115,6 +115,19 @@ def test_several_tables_models_and_lobes_in_one_command(tmp_path: Path) -> None:
     assert Fit.load(tmp_path / "G.json").model in ("ward", "ward+ward+lambert")
 
 
+@pytest.mark.compiled
+def test_a_ranked_fit_that_creates_energy_says_so(tmp_path: Path) -> None:
+    """A Lambertian table of albedo 1.2 and one of 0.8: only the fit of the first may not be."""
+    for name, albedo in (("bright", 1.2), ("dark", 0.8)):
+        table = material("lambert", ("lambert", {}, {"albedo": (albedo, 0.5, 0.5)})).table(grid(6, 12, 18))
+        table.save(tmp_path / f"{name}.h5")
+    ranked = run(tmp_path / "bright.h5", tmp_path / "dark.h5", "--model", "lambert")
+    assert ranked.exception is None, ranked.exception
+    lines = [line for line in ranked.stdout.splitlines() if line.startswith("   1  lambert ")]
+    assert [line.endswith("  creates energy") for line in lines] == [True, False]
+    assert [float(line.split()[5]) for line in lines] == pytest.approx([1.2, 0.8], abs=2e-3)
+
+
 @pytest.mark.parametrize("lobes", ["0", "x", "1,", "-1", "1.5"])
 def test_lobes_that_are_no_number(tmp_path: Path, lobes: str) -> None:
     result = run(tmp_path / "none.h5", "--model", "ward", f"--lobes={lobes}")
