@@ -11,13 +11,15 @@ import numpy as np
 
 from fitting import merl
 from fitting.compare import Lobes, dumps, fit_lobes, fit_models, isotropic_models, save_fits
+from fitting.fit import LATE
 from fitting.models import find_model
 from fitting.objectives import OBJECTIVES
 from fitting.result import Fit
+from fitting.samples import THETA_LIMIT_DEG, Samples
 from fitting.tabulate import tabulate
 from gonio import formats
 from gonio.bench import BENCHMARKS
-from gonio.files import atomic
+from gonio.files import atomic, check_writable
 from gonio.progress import progress_bar
 from microgeometry.errors import InputError
 
@@ -34,6 +36,14 @@ _CHANNELS = 8  # told in words; of more the first, the middle one and the last
 @click.option(
     "--objective", metavar="NAME", help=f"{', '.join(OBJECTIVES)}; default chi2 if there are errors."
 )
+@click.option(
+    "--theta-limit",
+    type=float,
+    default=THETA_LIMIT_DEG,
+    show_default=True,
+    metavar="DEG",
+    help="Polar angles beyond are left out.",
+)
 @click.option("--seed", type=int, default=0, show_default=True, help="Where the search starts.")
 @click.option("-o", "--output", type=_FILE, metavar="FIT.json", help="Where to write the fit, or the fits.")
 @click.option("--json", "as_json", is_flag=True, help="Print what -o writes, as one JSON object.")
@@ -42,21 +52,25 @@ def fit_command(
     model: str,
     lobes: str,
     objective: str | None,
+    theta_limit: float,
     seed: int,
     output: Path | None,
     as_json: bool,
 ) -> None:
     """Fit analytic models to tables, weighted by their error bars where they have any.
 
-    Angles above 80 degrees are left out. Several models, numbers of lobes or tables give a ranked list, the
+    Several models, numbers of lobes or tables give a ranked list, the
     best first, and one JSON object of all fits.
     """
+    if output is not None:
+        check_writable(output)
     counts = _counts(lobes)
     names = isotropic_models() if model == "all" else [find_model(model).name]
     options = {"objective": objective, "seed": seed}
     if len(tables) == 1 and len(names) == 1 and len(counts) == 1:
         with progress_bar("fit") as progress:
-            result = fit_lobes(formats.read(tables[0]), names[0], counts[0], progress=progress, **options)
+            samples = Samples.of_table(formats.read(tables[0]), theta_limit)
+            result = fit_lobes(samples, names[0], counts[0], progress=progress, **options)
         if output is not None:
             result.save(output)
         if as_json:
@@ -67,7 +81,8 @@ def fit_command(
     found: dict[str, list[Fit]] = {}
     for path in tables:
         with progress_bar(path.name) as progress:
-            found[str(path)] = fit_models(formats.read(path), names, counts, progress=progress, **options)
+            samples = Samples.of_table(formats.read(path), theta_limit)
+            found[str(path)] = fit_models(samples, names, counts, progress=progress, **options)
         if not as_json:
             _rank(str(path), found[str(path)])
     if len(tables) > 1 and not as_json:
@@ -134,16 +149,18 @@ def _tell(result: Fit) -> None:
 def _rank(name: str, fits: list[Fit]) -> None:
     """The fits of one table as lines, the best first."""
     best = fits[0].criterion
+    width = max(len(each.model) for each in fits)
     click.echo(f"{name}: {fits[0].cells_used} cells, minimised {fits[0].objective}")
     click.echo(
-        f"{'':>4}  {'model':48}{'BIC - best':>12}{'ngan_l2 (rel.)':>16}{'low_log':>11}{'albedo':>9}{'s':>7}"
+        f"{'':>4}  {'model':{width}}{'BIC - best':>12}{'ngan_l2 (rel.)':>16}{'low_log':>11}{'albedo':>9}{'s':>7}"
     )
     for rank, each in enumerate(fits, 1):
         above = 0.0 if each.criterion is None or best is None else each.criterion - best
         click.echo(
-            f"{rank:4}  {each.model:48}{above:12.4g}{each.residuals['relative_ngan_l2']:16.4f}"
+            f"{rank:4}  {each.model:{width}}{above:12.4g}{each.residuals['relative_ngan_l2']:16.4f}"
             f"{each.residuals['low_log']:11.4g}{each.albedo['largest']:9.3f}{each.seconds:7.2f}"
             + ("" if each.albedo["conserves_energy"] else "  creates energy")
+            + ("  time limit" if LATE in each.notes else "")
         )
 
 
@@ -155,8 +172,11 @@ def _summary(found: dict[str, list[Fit]]) -> None:
         of = [e.residuals["relative_ngan_l2"] for fits in found.values() for e in fits if e.model == name]
         medians[name] = float(np.median(of)), len(of)
     click.echo(f"all {len(found)} tables: median relative ngan_l2")
+    width = max(map(len, names))
     for name, (value, count) in sorted(medians.items(), key=lambda item: item[1]):
-        click.echo(f"{'':6}{name:48}{value:12.4f}" + (f"  ({count} tables)" if count < len(found) else ""))
+        click.echo(
+            f"{'':6}{name:{width}}{value:12.4f}" + (f"  ({count} tables)" if count < len(found) else "")
+        )
 
 
 @click.command("fit-merl")
@@ -176,6 +196,8 @@ def fit_merl_command(networks: Path, published: Path | None, output: Path | None
     NETWORKS is nbrdf_weights.npz, the materials as neural networks, or the folder that holds it. Each material
     is looked at in 31 214 cells of MERL's grid, angles above 80 degrees left out.
     """
+    if output is not None:
+        check_writable(output)
     began = time.perf_counter()
     with progress_bar("fit-merl") as progress:
         count = len(merl.materials(networks))
@@ -199,6 +221,7 @@ def tabulate_command(fit_file: Path, output: Path) -> None:
     The least a file must hold: {"model": "lambert", "lobes": [{"name": "lambert", "coefficients":
     {"albedo": {"R": 0.5}}}]}.
     """
+    formats.check_target(output)
     model = Fit.load(fit_file)
     with progress_bar("tabulate") as progress:
         table = tabulate(model, progress=progress)

@@ -115,7 +115,7 @@ def goodness(seen: Account, values: int, unknowns: int, estimated: bool) -> dict
     seen : Account
     values, unknowns : int
     estimated : bool
-        The errors are a table's own, which are known to 3 % of chi^2.
+        As in `fitting.samples.Samples`.
 
     Returns
     -------

@@ -24,6 +24,9 @@ from microgeometry.errors import InputError
 REJECTED = 1e-3
 """Probability below which a fit says that the model cannot be what was measured."""
 
+LATE = "the time limit ended the search; the parameters are the best met until then"
+"""Among the notes of a fit that was."""
+
 _SMALLEST, _LARGEST = 1e-30, 1e30  # their squares, and those of coefficients, are still numbers
 
 
@@ -103,7 +106,7 @@ def fit(
         objective=name,
         residuals=seen.metrics,
         degrees_of_freedom=samples.values.size - final.size,
-        goodness=goodness(seen, samples.values.size, final.size, isinstance(data, Table)),
+        goodness=goodness(seen, samples.values.size, final.size, samples.estimated),
         criterion=criterion(name, seen.metrics, samples.values.size, final),
         confidence=None if certain is None else describe(final, point, certain),
         evaluations=budget.evaluations + final.evaluations,
@@ -163,7 +166,7 @@ def _notes(result: Fit, samples: Samples, certain: Confidence | None, late: bool
     """What a reader of the numbers should know."""
     notes = []
     if late:
-        notes.append("the time limit ended the search; the parameters are the best met until then")
+        notes.append(LATE)
     if not np.any(samples.values > 0):
         notes.append("no value is above 0: all coefficients are 0 and the shape parameters mean nothing")
     elif certain is None:

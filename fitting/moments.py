@@ -176,16 +176,8 @@ def averages(
                             slope += counts[k, 0] * counts[k, 1]
                             continue
                         lobe_slopes(
-                            kinds[k],
-                            packed[k],
-                            tangents[k],
-                            wi,
-                            wo,
-                            values,
-                            side_i[1:],
-                            side_o[1:],
-                            scratch[0],
-                        )
+                            kinds[k], packed[k], tangents[k], wi, wo, values, side_i[1:], side_o[1:], scratch[0]
+                        )  # fmt: skip
                         for j in range(counts[k, 1]):
                             out[n, slope] += w * scratch[0, 2 * j]
                             if counts[k, 0] == 2:

@@ -51,6 +51,8 @@ class Samples:
         Of the table.
     theta_limit_deg : float
         Nothing beyond this polar angle is in here.
+    estimated : bool
+        The errors are a table's own, which are known to 3 % of chi^2.
     """
 
     grid: Grid
@@ -65,6 +67,7 @@ class Samples:
     wavelengths_nm: tuple[float, ...] | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     theta_limit_deg: float = THETA_LIMIT_DEG
+    estimated: bool = False
 
     @classmethod
     def of_table(cls, table: Table, theta_limit_deg: float = THETA_LIMIT_DEG) -> Samples:
@@ -73,8 +76,12 @@ class Samples:
         Raises
         ------
         InputError
-            No cell is left; the message says why each was left out.
+            The limit is not an angle from 0 to 90 degrees; or no cell is left: the message says why each was left out.
         """
+        if not 0 < theta_limit_deg <= 90:
+            raise InputError(
+                f"theta limit: {theta_limit_deg:g}; an angle above 0, at most 90 degrees, is allowed"
+            )
         limit = math.radians(theta_limit_deg) + 1e-9
         inside = (table.theta_i <= limit)[:, None, None] & (table.theta_r <= limit)[None, :, None]
         inside = np.broadcast_to(inside, table.values.shape[:3])
@@ -98,7 +105,8 @@ class Samples:
         if not np.any(used):
             why = ", ".join(f"{n} {reason}" for reason, n in left_out.items())
             raise InputError(
-                f"table: no cell is left to fit ({why}); a fit needs measured cells below the limit"
+                f"table: no cell is left to fit ({why}); a fit needs measured cells: where they lie beyond, "
+                "give a higher --theta-limit"
             )
         index = np.flatnonzero(used)
 
@@ -138,6 +146,7 @@ class Samples:
             wavelengths_nm=table.wavelengths_nm,
             provenance=dict(table.provenance),
             theta_limit_deg=theta_limit_deg,
+            estimated=True,
         )
 
     @classmethod

@@ -178,6 +178,7 @@ def compress(table: Path, out: Path, max_error: float, method: str, as_json: boo
     """
     from gonio.table.compress import compress as run_compression
 
+    formats.check_target(out)
     report = run_compression(formats.read(table), out, max_error, method)
     if as_json:
         click.echo(json.dumps(asdict(report)))

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from microgeometry.errors import InputError
+
 
 @contextmanager
 def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
@@ -50,6 +52,21 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
         if temporary is not None:
             with suppress(FileNotFoundError):
                 temporary.unlink()
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Fail now rather than after a long run: can a file of this name be written?
+
+    Raises
+    ------
+    InputError
+        The folder is missing or not writable.
+    """
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise InputError(f"{path}: the folder {path.parent} is not writable; choose another")
 
 
 def _flush(path: Path) -> None:

@@ -11,6 +11,7 @@ from types import FrameType
 
 import click
 
+from gonio.files import check_writable
 from gonio.progress import progress_bar
 from microgeometry.errors import InputError
 from renderer.mitsuba_xml import load_scene
@@ -40,8 +41,7 @@ def render_command(
     """
     if output.suffix.lower() != ".exr":
         raise InputError(f"{output}: the picture is an EXR; a name that ends in .exr is needed")
-    if not output.parent.is_dir():
-        raise InputError(f"{output}: the folder {output.parent} does not exist")
+    check_writable(output)
     scene = load_scene(scene_path, _parameters(defines))
     with _interruptible() as stop, progress_bar(f"Rendering {scene_path.name}") as report:
         image = render(scene, spp=spp, seed=seed, threads=threads, progress=report, stop=stop)
@@ -100,6 +100,7 @@ def report(table: Path, fits: tuple[Path, ...], out: Path) -> None:
     from gonio import formats
     from renderer.report import write_report
 
+    check_writable(out)
     with progress_bar(f"Report of {table.name}") as progress:
         write_report(
             formats.read(table) if fits else formats.read_any(table),

@@ -11,7 +11,7 @@ the machine tells them apart. The RGL file is what `gonio convert` writes of the
 Where the environment's GONIO_TEST_DATA names a folder of measured BRDFs, every isotropic one in it is written by the
 method that packs it smallest. What a file takes besides (axes, albedos, where it is from: the column `frame`) does not
 shrink with the table, so tables of a few thousand numbers stay far from the ratios of large ones: without any
-frame those of a goniophotometer, of 11 000 numbers, would come to 16:1 at most.
+frame those of a goniophotometer, of 11 000 numbers, come to 11:1 to 26:1.
 """
 
 from __future__ import annotations

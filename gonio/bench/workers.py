@@ -19,13 +19,13 @@ from gonio.table.table import Table
 from gonio.trace.measure import measure
 from microgeometry.specimen import Specimen, parse_specimen
 
-_GOLD = {"surface": {"kind": "gaussian", "alpha": 0.5}, "material": {"kind": "conductor", "name": "Au"}}
+_GOLD = {
+    "surface": {"kind": "gaussian", "alpha": 0.5},
+    "material": {"kind": "conductor", "name": "Au"},
+    "grid": {"channels": "rgb"},
+}
 _SPECIMENS: dict[str, tuple[dict[str, Any], int]] = {
-    "rough gold, 1-degree RGB table": ({**_GOLD, "grid": {"channels": "rgb"}}, 20_000_000),
-    "rough gold, 5-degree RGB table": (
-        {**_GOLD, "grid": {"channels": "rgb", "theta_step_deg": 5, "phi_step_deg": 5}},
-        20_000_000,
-    ),
+    f"rough gold, 1-degree table, {millions} M": (_GOLD, millions * 1_000_000) for millions in (20, 60)
 }
 
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio.files import check_writable
 from gonio.table.parts import extract
 from microgeometry.errors import InputError
 
@@ -178,17 +179,15 @@ def _resampling(path: Path, table: Table | AnisotropicTable) -> list[str]:
 
 
 def check_target(path: str | os.PathLike[str]) -> None:
-    """Fail now rather than after a long run: can `path` be written, in a folder that exists?
+    """Fail now rather than after a long run: can `path` be written?
 
     Raises
     ------
     InputError
-        The suffix is unknown or of a format that is only read, or the folder is missing.
+        The suffix is unknown or of a format that is only read; or as `gonio.files.check_writable`.
     """
-    path = Path(path)
-    _writer(path)
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
+    _writer(Path(path))
+    check_writable(path)
 
 
 def check_anisotropic_target(path: str | os.PathLike[str]) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.core.parallel import for_each
 from gonio.trace.half_vector import HalfVector
 from gonio.trace.remainder import spread
 from gonio.trace.sheets import Sheet, SheetTally
@@ -96,7 +97,7 @@ def combine(
         means, errors = zip(*found, strict=True)
         total_peak = np.sum(means, axis=0), np.sqrt(np.sum(np.square(errors), axis=0))
     _anchor(*estimates[0], counted[0], batches)
-    estimates += [_spread(sheet, batches) for sheet in counted[1:]]
+    estimates += [_spread(sheet, batches, threads) for sheet in counted[1:]]
     for (values, std_error), sheet in zip(estimates, counted, strict=True):
         _scale(values, std_error, sheet, batches.areas, values)
     orders = [
@@ -154,9 +155,9 @@ def _scale(values: Array, std_error: Array, counted: SheetTally, areas: Array, c
     std_error *= factor[:, None, None, :]
 
 
-def _spread(sheet: SheetTally, batches: BatchTracer) -> tuple[Array, Array]:
+def _spread(sheet: SheetTally, batches: BatchTracer, threads: int) -> tuple[Array, Array]:
     """From blocks to cells."""
-    rows = [sheet.row_terms(row, batches.bin_areas) for row in range(len(batches.theta_i))]
+    rows = for_each(lambda row: sheet.row_terms(row, batches.bin_areas), len(batches.theta_i), threads)
     values, std_error = (np.stack(part) for part in zip(*rows, strict=True))
     variance = std_error**2
     theta_r, delta_phi = (0.5 * (e[1:] + e[:-1]) for e in (batches.theta_edges, batches.phi_edges))

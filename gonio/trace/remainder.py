@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 
@@ -57,7 +58,7 @@ def spread(
     theta_edges, phi_edges : ndarray, shapes (R + 1,) and (P + 1,)
         Edges of the blocks, radians; both uniform, the latter symmetric about pi/2.
     theta_r, delta_phi : ndarray, shapes (r,) and (p,)
-        Centres of cells, radians.
+        Centres of cells, radians; the latter symmetric about pi/2 as well.
     theta_i : ndarray or None, shape (i,)
         Where rows are blocks with the edges of theta_r: centres of rows, radians. None: rows stay.
 
@@ -73,45 +74,27 @@ def spread(
         variance = 0.25 * (variance + variance.swapaxes(0, 1))
         variance[itself, itself] = diagonal
     centres = 0.5 * (theta_edges[1:] + theta_edges[:-1])
-    sectors = [_sectors(theta, len(phi_edges) - 1) for theta in centres]
-    by_phi = {n: _azimuth_weights(n, phi_edges, delta_phi) for n in set(sectors)}
-    mirror = {n: _azimuth_weights(n, phi_edges, math.pi - delta_phi) for n in set(sectors)}
-    ahead, across = _polar_weights(centres, theta_r)
-    # of each block along theta_i: the rows it goes to, their weights, and whether over the pole
-    to_rows: list[list[tuple[int, float, bool]]]
-    if theta_i is None:
-        to_rows = [[(row, 1.0, False)] for row in range(len(values))]
-        rows = [len(phi_edges) - 1] * len(values)
-    else:
-        weights = list(zip((False, True), _polar_weights(centres, theta_i), strict=True))
-        to_rows = [
-            [(int(i), float(w[i, a]), flip) for flip, w in weights for i in np.flatnonzero(w[:, a])]
-            for a in range(len(centres))
-        ]
-        rows = sectors
-    shape = len(values) if theta_i is None else len(theta_i), len(theta_r), len(delta_phi)
-    mean, square = np.zeros((2, *shape, values.shape[3]))
+    sectors = np.array([_sectors(theta, len(phi_edges) - 1) for theta in centres])
+    rows = sectors if reciprocal else np.full(len(values), len(phi_edges) - 1)
+    azimuths = {n: _azimuth_weights(n, phi_edges, delta_phi) for n in {*sectors.tolist(), *rows.tolist()}}
+    to_r = _polar_weights(centres, theta_r)
+    to_i = None if theta_i is None else _polar_weights(centres, theta_i)
 
-    def to_cells(block: Array, most: int, power: int, flip: bool) -> Array:
-        """One block along theta_i, shape (R, P, C), at all cells, (r, p, C); weights to some power."""
-        out = np.zeros((*shape[1:], block.shape[2]))
-        near, beyond = (mirror, by_phi) if flip else (by_phi, mirror)
+    def to_cells(blocks: Array, power: int) -> Array:
+        """Blocks (I, R, P, C) at all cells (i, r, p, C), with the weights to some power."""
+        # at their delta phi, and at pi less that, as they are seen over a pole
+        near = np.empty((blocks.shape[1], blocks.shape[0], len(delta_phi), blocks.shape[3]))
         for b, sector in enumerate(sectors):
-            n = min(most, sector)
-            for w, azimuths in ((ahead[:, b], near), (across[:, b], beyond)):
-                reached = np.flatnonzero(w)
-                if len(reached):
-                    out[reached] += (w[reached] ** power)[:, None, None] * (azimuths[n] ** power @ block[b])
-        return out
+            fewer = np.minimum(rows, sector)
+            for n in np.unique(fewer):
+                near[b, fewer == n] = azimuths[n] ** power @ blocks[fewer == n, b]
+        beyond = near[:, :, ::-1]
+        if to_i is None:
+            return _over_pole(to_r, near, beyond, power).swapaxes(0, 1)
+        near, beyond = _over_pole(to_r, near, beyond, power), _over_pole(to_r, beyond, near, power)
+        return _over_pole(to_i, near.swapaxes(0, 1), beyond.swapaxes(0, 1), power)
 
-    for a, targets in enumerate(to_rows):
-        for flip in {flip for _, _, flip in targets}:
-            for sums, blocks, power in ((mean, values, 1), (square, variance, 2)):
-                cells = to_cells(blocks[a], rows[a], power, flip)
-                for i, weight, over_pole in targets:
-                    if over_pole == flip:
-                        sums[i] += weight**power * cells
-    return np.maximum(mean, 0.0), np.sqrt(square)
+    return np.maximum(to_cells(values, 1), 0.0), np.sqrt(to_cells(variance, 2))
 
 
 def _sectors(theta: float, most: int) -> int:
@@ -138,7 +121,7 @@ def _azimuth_weights(n: int, edges: Array, delta_phi: Array) -> Array:
     return weights
 
 
-def _polar_weights(centres: Array, theta: Array) -> tuple[Array, Array]:
+def _polar_weights(centres: Array, theta: Array) -> tuple[csr_array, csr_array]:
     """Weights (t, B) of the blocks at their own delta phi, and of those beyond the pole, at pi - delta phi."""
     ahead, across = np.zeros((2, len(theta), len(centres)))
     for k, t in enumerate(theta):
@@ -150,4 +133,11 @@ def _polar_weights(centres: Array, theta: Array) -> tuple[Array, Array]:
             right = min(right, len(centres) - 1)
             x = (t - centres[right - 1]) / (centres[right] - centres[right - 1])
             ahead[k, right - 1], ahead[k, right] = 1.0 - x, x
-    return ahead, across
+    return csr_array(ahead), csr_array(across)
+
+
+def _over_pole(weights: tuple[csr_array, csr_array], near: Array, beyond: Array, power: int) -> Array:
+    """From blocks (B, ...) to centres of cells (t, ...), with weights to some power."""
+    ahead, across = weights
+    flat = (ahead**power) @ near.reshape(len(near), -1) + (across**power) @ beyond.reshape(len(near), -1)
+    return flat.reshape(ahead.shape[0], *near.shape[1:])

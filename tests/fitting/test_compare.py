@@ -10,8 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from fitting import Fit, fit
-from fitting.commands import fit_command
+from fitting.commands import _rank, fit_command
 from fitting.compare import fit_lobes, fit_models, isotropic_models, with_lobes
+from fitting.fit import LATE
 from fitting.models import MODELS, find_model
 from microgeometry.errors import InputError
 
@@ -126,6 +127,45 @@ def test_a_ranked_fit_that_creates_energy_says_so(tmp_path: Path) -> None:
     lines = [line for line in ranked.stdout.splitlines() if line.startswith("   1  lambert ")]
     assert [line.endswith("  creates energy") for line in lines] == [True, False]
     assert [float(line.split()[5]) for line in lines] == pytest.approx([1.2, 0.8], abs=2e-3)
+
+
+def test_a_fit_that_ran_out_of_time_is_marked(capsys: pytest.CaptureFixture[str]) -> None:
+    whole = gold(0.3).replace(
+        criterion=1.0, cells_used=5, residuals={"relative_ngan_l2": 0.1, "low_log": 0.2}, objective="ngan_l2",
+        albedo={"largest": 0.9, "conserves_energy": True},
+    )  # fmt: skip
+    _rank("T", [whole, whole.replace(notes=(LATE,))])
+    *_, first, second = capsys.readouterr().out.splitlines()
+    assert second == first.replace("1", "2", 1) + "  time limit"
+
+
+@pytest.mark.compiled
+def test_several_models_judge_the_errors_of_a_table_as_one_does() -> None:
+    table = noisy("cook_torrance_ggx")
+    one = fit(table, "ward").goodness
+    assert fit_models(table, ["ward"])[0].goodness == one
+    assert one["chi2_std"] > 0.03 * one["degrees_of_freedom"]  # of 1 % where the errors were known
+
+
+@pytest.mark.compiled
+def test_polar_angles_beyond_a_limit_that_is_given(tmp_path: Path) -> None:
+    """A goniometer that looked at grazing angles only."""
+    gold(0.4).table(grid(2, 18, 18, theta_i_deg=[82.0, 86.0])).save(tmp_path / "T.h5")
+    beyond = run(tmp_path / "T.h5", "--model", "cook_torrance_beckmann")
+    assert "give a higher --theta-limit" in str(beyond.exception)
+    found = run(tmp_path / "T.h5", "--model", "cook_torrance_beckmann", "--theta-limit", 90, "--json")
+    assert found.exception is None, found.exception
+    told = json.loads(found.stdout)
+    assert told["theta_limit_deg"] == 90
+    assert told["lobes"][0]["parameters"]["alpha"] == pytest.approx(0.4, rel=1e-3)
+    assert "theta limit: 91" in str(run(tmp_path / "T.h5", "--model", "ward", "--theta-limit", 91).exception)
+
+
+def test_where_the_fit_goes_is_looked_at_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = run(tmp_path / "none.h5", "--model", "ward", "-o", tmp_path / "nowhere" / "F.json")
+    assert "nowhere does not exist; create it first" in str(result.exception)
+    monkeypatch.setattr("gonio.files.os.access", lambda *_: False)  # root may write anywhere
+    assert "not writable" in str(run("none.h5", "--model", "ward", "-o", tmp_path / "F.json").exception)
 
 
 @pytest.mark.parametrize("lobes", ["0", "x", "1,", "-1", "1.5"])

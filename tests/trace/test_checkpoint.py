@@ -212,6 +212,7 @@ def trace(folder, out, rays):
     arguments = f"spec.toml -o {out} --rays {rays} --seed 3 --checkpoint 1e-9 --resume"
     sys.argv = ["gonio", "trace", *arguments.split()]
     os.chdir(folder)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's background processes ignore
     sys.stdout = sys.stderr = open(f"{out}.txt", "a", buffering=1)  # noqa: SIM115 (until the process ends)
     main()
 
