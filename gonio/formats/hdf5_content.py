@@ -53,16 +53,22 @@ def chunk_checksum(dataset: h5py.Dataset) -> int:
 
 
 def _memory() -> h5py.File:
-    # HDF5 knows files by their names, even those it never writes: one a thread
-    return h5py.File(f"memory-{uuid4()}", "w", driver="core", backing_store=False)
+    # HDF5 knows files by their names, even those it never writes: one a thread. Laid out as `gonio.formats.hdf5` does
+    name = f"memory-{uuid4()}"
+    return h5py.File(name, "w", driver="core", backing_store=False, libver="v110", meta_block_size=0)
 
 
 def stored_bytes(content: Mapping[str, Any]) -> int:
-    """Bytes that the content takes in a file, without HDF5's own book-keeping."""
+    """Bytes that the content takes in a file; of what HDF5 keeps to describe arrays behind filters only a part."""
     filtered = {name: item for name, item in content.items() if isinstance(item, Filtered)}
     size = pack_record({n: item for n, item in content.items() if n not in filtered}).size
     with _memory() as file:
+        empty = _image_size(file)
         for name, item in filtered.items():
             item.create(file, name)
-        file.flush()
-        return int(size) + sum(dataset.id.get_storage_size() for dataset in file.values())
+        return int(size) + _image_size(file) - empty
+
+
+def _image_size(file: h5py.File) -> int:
+    file.flush()
+    return len(file.id.get_file_image())

@@ -116,6 +116,19 @@ def test_several_tables_models_and_lobes_in_one_command(tmp_path: Path) -> None:
     assert Fit.load(tmp_path / "G.json").model in ("ward", "ward+ward+lambert")
 
 
+@pytest.mark.compiled
+def test_a_ranked_fit_that_creates_energy_says_so(tmp_path: Path) -> None:
+    """A Lambertian table of albedo 1.2 and one of 0.8: only the fit of the first may not be."""
+    for name, albedo in (("bright", 1.2), ("dark", 0.8)):
+        table = material("lambert", ("lambert", {}, {"albedo": (albedo, 0.5, 0.5)})).table(grid(6, 12, 18))
+        table.save(tmp_path / f"{name}.h5")
+    ranked = run(tmp_path / "bright.h5", tmp_path / "dark.h5", "--model", "lambert")
+    assert ranked.exception is None, ranked.exception
+    lines = [line for line in ranked.stdout.splitlines() if line.startswith("   1  lambert ")]
+    assert [line.endswith("  creates energy") for line in lines] == [True, False]
+    assert [float(line.split()[5]) for line in lines] == pytest.approx([1.2, 0.8], abs=2e-3)
+
+
 def test_a_fit_that_ran_out_of_time_is_marked(capsys: pytest.CaptureFixture[str]) -> None:
     whole = gold(0.3).replace(
         criterion=1.0, cells_used=5, residuals={"relative_ngan_l2": 0.1, "low_log": 0.2}, objective="ngan_l2",

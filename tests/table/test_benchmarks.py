@@ -64,7 +64,8 @@ def test_methods_are_compared(monkeypatch):
     monkeypatch.setattr(compress, "methods", lambda: {"tree": None, "dct": None})
     table = make(ggx(0.3, 0.9), grid(20, 20, 30))
     found = compress._compare(table, lambda line: None)
-    assert list(found) == ["tree", "dct", "RGL file"]
+    assert list(found) == ["plain file", "tree", "dct", "RGL file"]
+    assert found["plain file"]["error_worst"] == 0
     for method in ("tree", "dct"):
         assert 0 < found[method]["error_worst"] <= 0.01
         assert found[method]["ratio"] == 4 * table.values.size / found[method]["bytes"]

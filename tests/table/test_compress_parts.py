@@ -86,7 +86,9 @@ def test_a_part_that_breaks_the_bound_leaves_no_file(tmp_path, monkeypatch):
 def test_damage_to_a_part_names_it(tmp_path):
     table = make(ggx(0.5, 0.9), EDGES)
     compress(table.replace(parts={"transmission": share(table, 0.5)}), tmp_path / "c.h5", method="dct")
-    edit_record(tmp_path / "c.h5", lambda record: record.__delitem__("content/zeros"), "parts/transmission/")
+    edit_record(
+        tmp_path / "c.h5", lambda record: record.__delitem__("content/coefficients"), "parts/transmission/"
+    )
     with pytest.raises(InputError, match="parts/transmission/compressed: damaged content"):
         Table.load(tmp_path / "c.h5")
 

@@ -346,3 +346,28 @@ def test_pool_of_tables_with_and_without(metal):
         eval_table(pool, t, tuple(wi), tuple(wo), out)
         np.testing.assert_array_equal(out, table.eval(wi, wo))
     assert rough_metal(wi, wo, ALPHA) == pytest.approx(metal.eval(wi, wo)[0], rel=0.03)
+
+
+def test_compressed_peak_of_negative_colours(metal, tmp_path):
+    """Outside the gamut a channel of the highlight is negative, and stays it; one that is not gets no negative cell."""
+    tint = np.array([1.0, 0.4, -0.05])
+    outside = metal.replace(
+        values=metal.values[..., :1] * tint,
+        **{name: getattr(metal, name)[:, :1] * tint for name in ("row_albedo", "specular")},
+        **{name: np.zeros((len(metal.theta_i), 3)) for name in ("albedo_std_error", "specular_std_error")},
+        std_error=None,
+        channels=("R", "G", "B"),
+        peak=replace(metal.peak, values=metal.peak.values[..., :1] * tint, std_error=None),
+    )
+    bounds = compress.row_bounds(outside, 0.01)
+    compress.compress(outside, tmp_path / "c.h5", 0.01, "tree")
+    decoded = Table.load(tmp_path / "c.h5").peak.values
+    assert np.all(highlight.errors(outside.peak, decoded) <= bounds)
+    # of all that is there, not the average of cells that are 0
+    np.testing.assert_allclose(
+        np.einsum("isqc,sq->ic", decoded, outside.peak.areas)[:, 2],
+        np.einsum("isqc,sq->ic", outside.peak.values, outside.peak.areas)[:, 2],
+        rtol=0.02,
+    )
+    inside = replace(outside.peak, values=np.abs(outside.peak.values))
+    assert highlight.decode(highlight.encode(inside, bounds), inside.areas).min() >= 0

@@ -50,7 +50,7 @@ class Codec:
 
         def prepare(frame: Frame) -> Callable[[float], Array]:
             array = np.moveaxis(frame.normalise(table.values), -1, 0)
-            return lambda step: frame.restore(self._values(self._filtered(array, step).through(), step))
+            return lambda step: frame.restore(self._values(self._returned(array, step), step))
 
         frame, step = hold(table, bounds, prepare, quick)
         array = np.moveaxis(frame.normalise(table.values), -1, 0)
@@ -65,13 +65,19 @@ class Codec:
         return Frame.read(content, fields).restore(self._values(array, step_of(content)))
 
     def _filtered(self, array: Array, step: float) -> Filtered:
-        if self.rounded:
-            steps = np.clip(np.rint(array / step), -_LARGEST, _LARGEST)
-            return Filtered(steps.astype(np.int32), self.options(step))
-        return Filtered(array.astype(np.float32), self.options(step))
+        given = _rounded(array, step) if self.rounded else array.astype(np.float32)
+        return Filtered(given, self.options(step))
+
+    def _returned(self, array: Array, step: float) -> NDArray:
+        """What the filter will give back; one that keeps every bit need not be asked."""
+        return _rounded(array, step) if self.rounded else self._filtered(array, step).through()
 
     def _values(self, array: NDArray, step: float) -> Array:
         return np.moveaxis(array * step if self.rounded else array.astype(float), 0, -1)
+
+
+def _rounded(array: Array, step: float) -> NDArray[np.int32]:
+    return np.clip(np.rint(array / step), -_LARGEST, _LARGEST).astype(np.int32)
 
 
 ZFP = Codec(lambda step: hdf5plugin.Zfp(accuracy=step))

@@ -6,8 +6,6 @@ the values, whatever their number. So one step of quantisation serves all; the l
 of every row is found by decoding. Smooth, and for channels similar, tables leave few coefficients that are
 not 0. Against noise this is a threshold: what a row's bound of its own noise removes is its smallest
 coefficients.
-
-Quantised coefficients are stored in the order of their total frequency.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from gonio.table.compress.frame import Frame, hold, shape_of
-from gonio.table.compress.packing import pack_sparse, step_of, unpack_sparse
+from gonio.table.compress.packing import pack, step_of, unpack
 from gonio.table.table import Table
 
 Array = NDArray[np.float64]
@@ -43,7 +41,7 @@ def encode(table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
 
     frame, step = hold(table, bounds, prepare, quick)
     quantised = np.rint(_forward(frame.normalise(table.values)) / step).astype(np.int32)
-    return {"step": step, **frame.content(), **pack_sparse(quantised.ravel()[order(quantised.shape)])}
+    return {"step": step, **frame.content(), "coefficients": pack(quantised)}
 
 
 def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> Array:
@@ -56,10 +54,7 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> Array:
     """
     shape = shape_of(fields)
     frame, step = Frame.read(content, fields), step_of(content)
-    places, kept = unpack_sparse(content, int(np.prod(shape)))
-    coefficients = np.zeros(int(np.prod(shape)))
-    coefficients[order(shape)[places]] = kept * step
-    return frame.restore(_backward(coefficients.reshape(shape)))
+    return frame.restore(_backward(unpack(content["coefficients"], shape).astype(float) * step))
 
 
 def _forward(values: Array) -> Array:
@@ -68,13 +63,3 @@ def _forward(values: Array) -> Array:
 
 def _backward(coefficients: Array) -> Array:
     return fft.idctn(coefficients, norm="ortho", workers=-1, overwrite_x=True)
-
-
-def order(shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Flat indices by total frequency, in cycles over the whole table; ties in memory order."""
-    frequency = np.zeros(shape, np.float32)
-    for axis, n in enumerate(shape):
-        place = [1] * len(shape)
-        place[axis] = n
-        frequency += np.arange(n, dtype=np.float32).reshape(place)
-    return np.argsort(frequency.ravel(), kind="stable")

@@ -6,8 +6,8 @@ quantisation or a pointwise bound, serves all of it.
 
 Setting negative values to 0 brightens what is dark and noisy, and cosine weighting lets that pass near the
 horizon: a bright rim around a rendered sphere. So the mean of every ring of cells (theta_i, theta_r), known
-better than its cells, is stored in fine logarithmic steps, and restored. Last, each row is scaled to
-re-integrate to its albedo. A table with negative values, colours outside the gamut, gets neither.
+better than its cells, is stored in fine logarithmic steps, and restored; not of a table with negative values,
+colours outside the gamut. Last, each row is scaled to re-integrate to its albedo.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.core.directions import projected_solid_angles
+from gonio.table.compress.codes import Scale, check_codes, codes_of, from_codes, pack_smooth, unpack_smooth
 from gonio.table.compress.metric import cosine_weights, excess, reference_norms
-from gonio.table.compress.packing import pack, signed, signless, unpack
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -30,7 +30,6 @@ Array = NDArray[np.float64]
 _RING_STEP = 0.01  # relative, of the stored means of rings
 _MAX_VALUES = 2**28  # 2 GiB of float64: what a damaged file may make us allocate at most
 _TRIALS = 8
-_NEAR = 0.02
 
 
 @dataclass(frozen=True)
@@ -39,8 +38,7 @@ class Frame:
 
     Parameters
     ----------
-    scale : ndarray, shape (I, C)
-        Error allowed in a row, in the norm of the metric; 0 for dark rows.
+    scale : Scale
     theta_r_edges, delta_phi_edges : ndarray
         Of the table.
     target : ndarray, shape (I, C), or None
@@ -53,7 +51,7 @@ class Frame:
         What the array is added to: the part of the values that a model gives.
     """
 
-    scale: Array
+    scale: Scale
     theta_r_edges: Array
     delta_phi_edges: Array
     target: Array | None
@@ -67,8 +65,7 @@ class Frame:
     def of(cls, table: Table, bounds: Array, base: Array | None = None) -> Frame:
         """The frame of a table whose rows may err by `bounds`, shape (I, C), of their norms."""
         weights = cosine_weights(table.theta_r_edges, table.delta_phi_edges)
-        # float32 is what the file holds; the encoder works with the same numbers
-        scale = (reference_norms(table.values, weights) * bounds).astype(np.float32).astype(float)
+        scale = reference_norms(table.values, weights) * bounds
         total = np.einsum("irpc,rp->ic", table.values, table.projected_solid_angles)
         target = table.row_albedo - table.specular
         # where the albedo is not that of the cells, scaling to it would not restore them
@@ -77,9 +74,9 @@ class Frame:
         if table.values.min() >= 0:
             means = _ring_means(table.values, table.projected_solid_angles)
             floor = float(np.min(means, initial=np.inf, where=means > 0))
-            codes, floor = _ring_codes(means, floor, step), floor if np.isfinite(floor) else 0.0
+            codes, floor = codes_of(means, floor, step), floor if np.isfinite(floor) else 0.0
         return cls(
-            scale,
+            Scale.of(scale),
             table.theta_r_edges,
             table.delta_phi_edges,
             target if consistent else None,
@@ -100,39 +97,35 @@ class Frame:
             Content that is missing, damaged, or does not fit the axes.
         """
         rows, rings, _, channels = shape_of(fields)
-        scale = np.asarray(content["scale"], float)
-        if scale.shape != (rows, channels) or not np.all(np.isfinite(scale)):
-            raise ValueError(f"scale of shape {scale.shape} for {(rows, channels)}, or not finite")
+        scale = Scale.read(content, (rows, channels))
         codes, floor, step = None, 0.0, 0.0
         if "rings" in content:
-            flat = signed(unpack(content["rings"], rows * rings * channels))
-            codes = _sums(flat.reshape(rows, rings, channels))
+            codes = unpack_smooth(content, "rings", (rows, rings, channels))
             floor, step = float(content["ring_floor"]), float(content["ring_step"])
-            highest = np.log(max(floor, 1e-300)) + codes.max() * np.log1p(step) if 0 < step < 1 else np.inf
-            if not (floor >= 0 and np.all(codes >= 0) and highest < 700):
-                raise ValueError("ring means that are not positive numbers")
+            check_codes(codes, floor, step)
         target = None
         if bool(content["rescaled"]):
             target = np.asarray(fields["row_albedo"], float) - fields.get("specular", 0.0)
-            if target.shape != scale.shape:
-                raise ValueError(f"albedo of shape {target.shape} for {scale.shape}")
+            if target.shape != (rows, channels):
+                raise ValueError(f"albedo of shape {target.shape} for {(rows, channels)}")
         edges = fields["theta_r_edges"], fields["delta_phi_edges"]
         return cls(scale, *edges, target, fields.get("gaps"), codes, floor, step, base)
 
     def content(self) -> dict[str, Any]:
         """What `read` needs from the file."""
         content: dict[str, Any] = {
-            "scale": self.scale.astype(np.float32),
+            **self.scale.content(),
             "rescaled": self.target is not None,
         }
         if self.codes is not None:
-            content["rings"] = pack(signless(_differences(self.codes)))
+            content.update(pack_smooth("rings", self.codes))
             content.update(ring_floor=self.ring_floor, ring_step=self.ring_step)
         return content
 
     def normalise(self, values: Array) -> Array:
         """The array of equal importance."""
-        inverse = np.divide(1.0, self.scale, out=np.zeros_like(self.scale), where=self.scale > 0)
+        scale = self.scale.values
+        inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
         rest = values if self.base is None else values - self.base
         return rest * self._weights[:, :, None] * inverse[:, None, None]
 
@@ -141,7 +134,7 @@ class Frame:
 
         Values are not negative, so setting negative ones to 0 can only bring them closer to the original.
         """
-        values = array / self._weights[:, :, None] * self.scale[:, None, None]
+        values = array / self._weights[:, :, None] * self.scale.values[:, None, None]
         return self.correct(values if self.base is None else values + self.base)
 
     def correct(self, values: Array) -> Array:
@@ -149,18 +142,19 @@ class Frame:
         areas = projected_solid_angles(self.theta_r_edges, self.delta_phi_edges)
         if self.codes is not None:
             values = np.maximum(values, 0.0)
-            rings = _rings(self.codes, self.ring_floor, self.ring_step)
+            rings = from_codes(self.codes, self.ring_floor, self.ring_step)
             means = _ring_means(values, areas)
             values *= np.divide(rings, means, out=np.ones_like(means), where=means > 0)[:, :, None, :]
             values += np.where((means == 0) & (rings > 0), rings, 0.0)[:, :, None, :]
         if self.gaps is not None:
             values[np.asarray(self.gaps, bool)] = 0.0
         if self.target is not None:
-            total = np.einsum("irpc,rp->ic", values, areas)
-            factor = np.divide(self.target, total, out=np.ones_like(total), where=total != 0)
-            # of values of both signs the sum may cancel: scaling to it would do harm
-            factor[(np.abs(factor - 1) > _NEAR) if self.codes is None else (factor < 0)] = 1.0
-            values *= factor[:, None, None]
+            # of values of both signs the sum may nearly cancel: what is missing goes by their sizes
+            sizes = np.abs(values)
+            short = self.target - np.einsum("irpc,rp->ic", values, areas)
+            size = np.einsum("irpc,rp->ic", sizes, areas)
+            sizes *= np.divide(short, size, out=np.zeros_like(size), where=size > 0)[:, None, None]
+            values += sizes
         return values
 
     @property
@@ -254,28 +248,3 @@ def shape_of(fields: Mapping[str, Any]) -> tuple[int, int, int, int]:
 def _ring_means(values: Array, areas: Array) -> Array:
     """Mean over delta phi of every ring of cells, shape (I, R, C)."""
     return np.einsum("irpc,rp->irc", values, areas / areas.sum(axis=1, keepdims=True))
-
-
-def _ring_codes(means: Array, floor: float, step: float) -> NDArray[np.int64]:
-    """Means in logarithmic steps above the smallest, from 1; 0 where the mean is 0."""
-    lit = means > 0
-    steps = np.log(np.divide(means, floor, out=np.ones_like(means), where=lit)) / np.log1p(step)
-    return np.where(lit, 1 + np.rint(steps), 0).astype(np.int64)
-
-
-def _rings(codes: NDArray[np.int64], floor: float, step: float) -> Array:
-    """Means from their codes."""
-    return np.where(codes > 0, floor * np.exp((np.maximum(codes, 1) - 1) * np.log1p(step)), 0.0)
-
-
-def _differences(codes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Small numbers for smooth tables: from ring to ring, and of each channel from the first."""
-    codes = np.concatenate([codes[..., :1], codes[..., 1:] - codes[..., :1]], axis=-1)
-    return np.diff(codes, axis=1, prepend=0)
-
-
-def _sums(differences: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The inverse of `_differences`."""
-    codes = np.cumsum(differences, axis=1)
-    codes[..., 1:] += codes[..., :1]
-    return codes

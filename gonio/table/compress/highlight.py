@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from gonio.table.compress.metric import reference_norms, row_norms
-from gonio.table.compress.packing import pack_sparse, step_of, unpack_sparse
+from gonio.table.compress.packing import pack, step_of, unpack
 from gonio.table.peak import Peak
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ def encode(peak: Peak, bounds: Array) -> dict[str, Any]:
     fixed = {"scale": scale, "signed": signed}
     step = float(4.0 * bounds.min() * np.sqrt(12.0 / peak.areas.size))
     for _ in range(_TRIALS):
-        found = pack_sparse(np.round(coefficients / step).ravel().astype(np.int64))
+        found = {"coefficients": pack(np.round(coefficients / step).astype(np.int64))}
         content = {_PREFIX + name: part for name, part in {**found, **fixed, "step": step}.items()}
         if np.all(errors(peak, decode(content, peak.areas)) <= bounds):
             break
@@ -71,10 +71,7 @@ def decode(content: Mapping[str, Any], areas: Array) -> Array:
     shape = len(scale), *areas.shape, scale.shape[1]
     if math.prod(shape) > _LARGEST:
         raise ValueError(f"a highlight of {math.prod(shape)} cells")
-    stream = np.zeros(math.prod(shape))
-    places, numbers = unpack_sparse(own, stream.size)
-    stream[places] = numbers
-    whole = fft.idctn(stream.reshape(shape) * step_of(own), norm="ortho")
+    whole = fft.idctn(unpack(own["coefficients"], shape) * step_of(own), norm="ortho")
     if not own["signed"]:
         whole = np.maximum(whole, 0.0)
     return whole * scale[:, None, None] / np.sqrt(areas)[..., None]

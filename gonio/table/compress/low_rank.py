@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, sparse
 
 from gonio.core.directions import half_difference
-from gonio.table.compress.dct import order
 from gonio.table.compress.frame import Frame, hold, shape_of
-from gonio.table.compress.metric import cosine_weights
-from gonio.table.compress.packing import pack_sparse, step_of, unpack_sparse
+from gonio.table.compress.metric import cosine_weights, excess
+from gonio.table.compress.packing import pack, step_of, unpack
 from gonio.table.table import Table
+from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
 Sizes = tuple[int, int, int]
@@ -46,6 +46,10 @@ def encode(table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
     first = Frame.of(table, bounds)
     importance = _importance(first, shape)
     grid, weights = _fit(table, interpolation, importance, sizes)
+    # a grid coarser than the table may not hold the bounds at any step: looking for one takes long
+    unrounded = first.correct((interpolation @ grid.reshape(-1, shape[3])).reshape(shape))
+    if excess(table, unrounded, bounds).max() > 1:
+        raise InputError("max_error: no step of quantisation holds it; the grid of the factors is too coarse")
     # components of what the error sees
     basis, _, _ = np.linalg.svd(
         (grid * weights[:, None, None, None]).reshape(sizes[0], -1), full_matrices=False
@@ -67,7 +71,7 @@ def encode(table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
         **frame.content(),
         "weights": weights.astype(np.float32),
         "basis": basis[:, :rank].astype(np.float32),
-        **pack_sparse(quantised[:rank].ravel()[order(quantised[:rank].shape)]),
+        "coefficients": pack(quantised[:rank]),
     }
 
 
@@ -82,12 +86,8 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> Array:
     if not (np.all(weights > 0) and np.all(np.isfinite(weights)) and np.all(np.abs(basis) <= 1.01)):
         raise ValueError("weights that are not positive, or a basis that is not orthonormal")
     cut = (basis.shape[1], *sizes[1:], shape[3])
-    places, kept = unpack_sparse(content, int(np.prod(cut)))
-    coefficients = np.zeros(int(np.prod(cut)))
-    coefficients[order(cut)[places]] = kept * step
-    return frame.correct(
-        _values(coefficients.reshape(cut), weights, basis, _interpolation(fields, sizes), shape)
-    )
+    coefficients = unpack(content["coefficients"], cut).astype(float) * step
+    return frame.correct(_values(coefficients, weights, basis, _interpolation(fields, sizes), shape))
 
 
 _FIELDS = ("theta_i", "theta_i_edges", "theta_r_edges", "delta_phi_edges")
@@ -131,7 +131,8 @@ def _middle(edges: Array) -> Array:
 def _importance(frame: Frame, shape: tuple[int, ...]) -> Array:
     """What an error in a cell counts, (I R P, C); nothing in gaps and in dark rows."""
     weights = cosine_weights(frame.theta_r_edges, frame.delta_phi_edges)
-    inverse = np.divide(1.0, frame.scale, out=np.zeros_like(frame.scale), where=frame.scale > 0)
+    scale = frame.scale.values
+    inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
     importance = np.broadcast_to(weights[None, :, :, None] * inverse[:, None, None], shape).copy()
     if frame.gaps is not None:
         importance[frame.gaps] = 0.0

@@ -7,13 +7,12 @@ Lagrange's cost: squared error + lambda x bits, lambda in proportion to the step
 uniform quantisers has it (Sullivan & Wiegand 1998, "Rate-distortion optimization for video compression").
 So a peak costs what it holds, wherever it is, and smooth parts of the table next to nothing.
 
-Leaves are stored level by level, the largest blocks first, and within a level by frequency: like numbers
-stand together. The transform is orthonormal, the error of the coefficients that of the values.
+Leaves are stored level by level, the largest blocks first. The transform is orthonormal, the error of the
+coefficients that of the values.
 """
 
 from __future__ import annotations
 
-import bz2
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -22,9 +21,9 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from gonio.core.jit import kernel
-from gonio.table.compress.dct import order
+from gonio.table.compress.arithmetic import Decoder, Encoder
 from gonio.table.compress.frame import Frame, hold, shape_of
-from gonio.table.compress.packing import pack_sparse, step_of, unpack_sparse
+from gonio.table.compress.packing import step_of
 from gonio.table.table import Table
 
 Array = NDArray[np.float64]
@@ -42,7 +41,7 @@ class Level(NamedTuple):
 
     block: Block
     coefficients: NDArray[np.float32]
-    """(blocks along i, r, phi, cells of a block x channels), in order of frequency."""
+    """(blocks along i, r, phi, cells of a block x channels)."""
 
 
 def encode(table: Table, bounds: Array, quick: bool = False, base: Array | None = None) -> dict[str, Any]:
@@ -55,14 +54,12 @@ def encode(table: Table, bounds: Array, quick: bool = False, base: Array | None 
 
     frame, step = hold(table, bounds, prepare, quick, base)
     leaves, splits = _choose(_levels(frame.normalise(table.values)), step)
-    stream = np.concatenate([leaf.T.ravel() for leaf in leaves])
-    flags = np.packbits(np.concatenate([np.zeros(0, bool), *splits]))
-    return {
-        "step": step,
-        **frame.content(),
-        "tree": np.frombuffer(bz2.compress(flags.tobytes()), np.uint8),
-        **pack_sparse(stream),
-    }
+    encoder = Encoder()
+    for block, leaf, split in zip(block_sizes(shape), leaves, [*splits, None], strict=True):
+        if split is not None:
+            encoder.flags(split[None])
+        encoder.blocks(leaf.reshape(-1, *block, shape[3]))
+    return {"step": step, **frame.content(), "tree": encoder.bytes()}
 
 
 def decode(content: Mapping[str, Any], fields: Mapping[str, Any], base: Array | None = None) -> Array:
@@ -70,32 +67,19 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any], base: Array | 
     shape = shape_of(fields)
     frame, step = Frame.read(content, fields, base), step_of(content)
     sizes = block_sizes(shape)
-    counts = [_grid(shape, sizes[0])]
-    most = sum(int(np.prod(_grid(shape, block))) for block in sizes)
-    raw = bz2.BZ2Decompressor().decompress(np.asarray(content["tree"], np.uint8).tobytes(), (most + 7) // 8)
-    flags = np.unpackbits(np.frombuffer(raw, np.uint8)).astype(bool)
-    splits, n_leaves, at, n = [], [], 0, int(np.prod(counts[0]))
-    for level, block in enumerate(sizes):
-        if level == len(sizes) - 1:
-            split = np.zeros(n, bool)
-        else:
-            split = flags[at : at + n]
-            at += n
-            if len(split) != n:
-                raise ValueError(f"a tree of {len(flags)} nodes, more are expected")
-        splits.append(split)
-        n_leaves.append(n - int(split.sum()))
-        if level + 1 < len(sizes):
-            n = int(split.sum()) * int(np.prod(_ratio(block, sizes[level + 1])))
-    lengths = [n * int(np.prod(block)) * shape[3] for n, block in zip(n_leaves, sizes, strict=True)]
-    places, kept = unpack_sparse(content, sum(lengths))
-    stream = np.zeros(sum(lengths), np.float32)
-    stream[places] = kept
-    parts = np.split(stream, np.cumsum(lengths)[:-1])
-    leaves = [
-        part.reshape(-1, n).T if n else part.reshape(0, 0) for part, n in zip(parts, n_leaves, strict=True)
-    ]
-    return frame.restore(_assemble(shape, leaves, splits[:-1], step))
+    decoder = Decoder(content["tree"])
+    leaves, splits, n = [], [], int(np.prod(_grid(shape, sizes[0])))
+    for block, child in zip(sizes, [*sizes[1:], None], strict=True):
+        split = np.zeros(n, bool) if child is None else decoder.flags((1, n))[0]
+        count = n - int(split.sum())
+        leaves.append(
+            decoder.blocks((count, *block, shape[3])).reshape(count, int(np.prod(block)) * shape[3])
+        )
+        if child is not None:
+            splits.append(split)
+            n = int(split.sum()) * int(np.prod(_ratio(block, child)))
+    decoder.end()
+    return frame.restore(_assemble(shape, leaves, splits, step))
 
 
 def block_sizes(shape: tuple[int, ...]) -> list[Block]:
@@ -129,7 +113,7 @@ def _levels(array: Array) -> list[Level]:
         cut = padded.reshape(grid[0], block[0], grid[1], block[1], grid[2], block[2], channels)
         cells = cut.transpose(0, 2, 4, 1, 3, 5, 6)
         coefficients = fft.dctn(cells, axes=(3, 4, 5, 6), norm="ortho", workers=-1).reshape(*grid, -1)
-        levels.append(Level(block, np.take(coefficients, order((*block, channels)), axis=-1)))
+        levels.append(Level(block, coefficients))
     return levels
 
 
@@ -176,11 +160,8 @@ def _assemble(
         if at < len(splits):
             here[alive] = ~splits[at]
         if len(leaf):
-            coefficients = np.empty(leaf.shape)
-            coefficients[:, order((*block, shape[3]))] = leaf * step
-            cells = fft.idctn(
-                coefficients.reshape(-1, *block, shape[3]), axes=(1, 2, 3, 4), norm="ortho", workers=-1
-            )
+            coefficients = (leaf * step).reshape(-1, *block, shape[3])
+            cells = fft.idctn(coefficients, axes=(1, 2, 3, 4), norm="ortho", workers=-1)
             grid = here.shape
             view = padded.reshape(grid[0], block[0], grid[1], block[1], grid[2], block[2], shape[3])
             view.transpose(0, 2, 4, 1, 3, 5, 6)[here] = cells
@@ -196,7 +177,7 @@ def _children(nodes: NDArray[np.bool_], ratio: Block) -> NDArray[np.bool_]:
     return nodes
 
 
-_BIT_TABLE = np.array([_BITS_ZERO] + [2 * np.log2(1 + n) + _BITS_SIGN for n in range(1, _KNOWN)])
+_BIT_TABLE = np.array([_BITS_ZERO] + [1.5 * np.log2(1 + n) + _BITS_SIGN for n in range(1, _KNOWN)])
 
 
 @kernel(allocates=False)
