@@ -52,6 +52,11 @@ DAMAGE = {
     "wide box": ("tree", put("content/tree", np.full(9, 255, np.uint8)), "numbers that no encoder writes"),
     "negative step": ("tree", put("content/step", -1.0), "damaged content"),
     "basis": ("low_rank", change("content/basis", lambda basis: basis[:-1]), "weights and basis of shape"),
+    "flat basis": (
+        "low_rank",
+        change("content/basis", lambda basis: basis[:, 0]),
+        "weights and basis of shape",
+    ),
     "weights": ("low_rank", put("content/weights", np.zeros(31, "f4")), "damaged content"),
     "huge basis": ("low_rank", change("content/basis", lambda basis: 9 * basis), "not orthonormal"),
     "axis of nan": (

@@ -81,7 +81,7 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> Array:
     sizes = grid_sizes(shape)
     frame, step = Frame.read(content, fields), step_of(content)
     weights, basis = np.asarray(content["weights"], float), np.asarray(content["basis"], float)
-    if weights.shape != sizes[:1] or basis.shape[:1] != sizes[:1] or not 1 <= basis.shape[1] <= sizes[0]:
+    if weights.shape != sizes[:1] or basis.ndim != 2 or not basis.shape[0] == sizes[0] >= basis.shape[1] >= 1:
         raise ValueError(f"weights and basis of shape {weights.shape}, {basis.shape} for a grid of {sizes}")
     if not (np.all(weights > 0) and np.all(np.isfinite(weights)) and np.all(np.abs(basis) <= 1.01)):
         raise ValueError("weights that are not positive, or a basis that is not orthonormal")
