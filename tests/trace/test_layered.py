@@ -11,6 +11,7 @@ from gonio.trace.tracer import MAX_SCATTERINGS
 from microgeometry.specimen import parse_specimen
 
 
+@pytest.mark.slow
 @pytest.mark.compiled
 def test_light_that_scatters_without_end_is_cut_off_and_not_lost():
     """In a white half-space n scatterings leave a share of about 1/sqrt(n) inside: all else comes back."""

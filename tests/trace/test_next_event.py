@@ -188,6 +188,7 @@ def test_colours_are_carried_apart():
     assert colours.values[..., 1].max() < 0.5 * grey.values[..., 1].max()
 
 
+@pytest.mark.slow
 @pytest.mark.compiled
 def test_a_table_of_facets_scatters_like_what_it_is_a_table_of(tmp_path):
     white = measure(specimen({"surface": FLAT, "material": WHITE}, theta_i_deg=[0, 30, 60, 89]), rays=20_000)
@@ -283,6 +284,7 @@ def test_intervals_cover(name):
     assert mean - 3 * error < 0.97
 
 
+@pytest.mark.slow
 @pytest.mark.compiled
 def test_intervals_cover_where_rows_got_rays_by_their_errors():
     mean, error = coverage(RAYLEIGH_SLAB, 20_000, 30, target=0.3)
