@@ -51,9 +51,10 @@ def small_anisotropic():
 
 def small_table():
     table = make(asymmetric, grid(2, 2, 3))
-    table = table.replace(
-        parts={"transmission": share(table, 0.25)}
-    )  # as many as there are cost as many times more
+    below = share(table, 0.25)  # as many parts as there are cost as many times more
+    gaps = np.arange(12).reshape(2, 2, 3) % 5 == 4
+    below = below.replace(values=np.where(gaps[..., None], 0.0, below.values), gaps=gaps)
+    table = table.replace(parts={"transmission": below})
     values = np.random.default_rng(seed_from("fuzz peak")).random((2, 2, 3, 3))
     peak = Peak(values, np.array([0, 0.1, 0.2]), np.linspace(0, np.pi, 4), 0.1 * values)
     return table.replace(std_error=0.1 * table.values, peak=peak, provenance={"seed": 1})
