@@ -8,9 +8,9 @@ of uniform quantisers has it (Sullivan & Wiegand 1998, "Rate-distortion optimiza
 So a peak costs what it holds, wherever it is, and smooth parts of the table next to nothing.
 
 An odd number of cells is halved into two that differ by one: a block filled up with cells that are not in the table
-would pay for them: a third more bytes in tables of 90 x 90 x 180. Leaves are stored level by level, the
-largest blocks first, and in a level those of one shape together. The transform is orthonormal, the error of the
-coefficients that of the values.
+would pay for them, a third more bytes in tables of 90 x 90 x 180. First is stored which blocks are leaves, then the
+leaves, both level by level, the largest blocks first, and in a level those of one shape together. The transform is
+orthonormal, the error of the coefficients that of the values.
 """
 
 from __future__ import annotations
@@ -69,12 +69,14 @@ def encode(table: Table, bounds: Array, quick: bool = False, base: Array | None 
         )
 
     frame, step = hold(table, bounds, prepare, quick, base)
-    leaves, splits = _choose(levels, _transform(frame.normalise(table.values), levels), step)
+    kept, leaves = _choose(levels, _transform(frame.normalise(table.values), levels), step)
     encoder = Encoder()
-    for level, leaf, split in zip(levels, leaves, [*splits, None], strict=True):
-        if split is not None:
-            encoder.flags(split[None])
-        for group, numbers in zip(level.groups, leaf, strict=True):
+    alive = np.ones(levels[0].grid, bool)
+    for here, child in zip(kept, levels[1:], strict=False):
+        encoder.flags(~here[alive][None])
+        alive = _children(alive & ~here, child.grid)
+    for level, of_groups in zip(levels, leaves, strict=True):
+        for group, numbers in zip(level.groups, of_groups, strict=True):
             encoder.blocks(numbers.reshape(-1, *group.block, shape[3]))
     return {"step": step, **frame.content(), "tree": encoder.bytes()}
 
@@ -85,27 +87,20 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any], base: Array | 
     frame, step = Frame.read(content, fields, base), step_of(content)
     levels = levels_of(shape)
     decoder = Decoder(content["tree"])
-    leaves: list[list[NDArray]] = []
-    splits = []
+    kept = []
     alive = np.ones(levels[0].grid, bool)
-    for level, child in zip(levels, [*levels[1:], None], strict=True):
-        kept = alive.copy()
-        if child is not None:
-            splits.append(decoder.flags((1, int(alive.sum())))[0])
-            kept[alive] = ~splits[-1]
-        counts = [int(kept[np.ix_(*group.at)].sum()) for group in level.groups]
-        leaves.append(
-            [
-                decoder.blocks((n, *group.block, shape[3])).reshape(n, -1)
-                if n
-                else np.empty((0, 0), np.int32)
-                for n, group in zip(counts, level.groups, strict=True)
-            ]
-        )
-        if child is not None:
-            alive = _children(alive & ~kept, child.grid)
+    for child in levels[1:]:
+        here = alive.copy()
+        here[alive] = ~decoder.flags((1, int(alive.sum())))[0]
+        kept.append(here)
+        alive = _children(alive & ~here, child.grid)
+    kept.append(alive)
+    leaves = [
+        [decoder.blocks((int(here[np.ix_(*g.at)].sum()), *g.block, shape[3])) for g in level.groups]
+        for level, here in zip(levels, kept, strict=True)
+    ]
     decoder.end()
-    return frame.restore(_assemble(shape, levels, leaves, splits, step))
+    return frame.restore(_assemble(shape, levels, kept, leaves, step))
 
 
 def levels_of(shape: tuple[int, ...]) -> list[Level]:
@@ -159,8 +154,8 @@ def _transform(array: Array, levels: list[Level]) -> list[list[NDArray[np.float3
 
 def _choose(
     levels: list[Level], coefficients: list[list[NDArray[np.float32]]], step: float
-) -> tuple[list[list[NDArray[np.int32]]], list[NDArray[np.bool_]]]:
-    """The cheapest tree: leaves of each level and group, shape (n, coefficients), and which nodes are split."""
+) -> tuple[list[NDArray[np.bool_]], list[list[NDArray[np.int32]]]]:
+    """The cheapest tree: which blocks of each level are leaves, and those of each group, shape (n, coefficients)."""
     keeps: list[NDArray[np.bool_]] = []
     below: NDArray | None = None
     for level, of_groups in zip(reversed(levels), reversed(coefficients), strict=True):
@@ -178,36 +173,31 @@ def _choose(
             keep = cost <= children
             below = np.where(keep, cost, children)
         keeps.append(keep)
-    leaves: list[list[NDArray[np.int32]]] = []
-    splits = []
+    kept: list[NDArray[np.bool_]] = []
+    leaves = []
     alive = np.ones(levels[0].grid, bool)
     for at, (level, keep) in enumerate(zip(levels, reversed(keeps), strict=True)):
-        chosen = alive & keep
+        if at:
+            alive = _children(alive & ~kept[-1], level.grid)
+        kept.append(alive & keep)
         quantised = []
         for group, numbers in zip(level.groups, coefficients[at], strict=True):
-            scaled = numbers[chosen[np.ix_(*group.at)]] / step
+            scaled = numbers[kept[-1][np.ix_(*group.at)]] / step
             quantised.append((np.sign(scaled) * np.floor(np.abs(scaled) + _ROUND)).astype(np.int32))
         leaves.append(quantised)
-        if at + 1 < len(levels):
-            splits.append(~keep[alive])
-            alive = _children(alive & ~keep, levels[at + 1].grid)
-    return leaves, splits
+    return kept, leaves
 
 
 def _assemble(
     shape: tuple[int, ...],
     levels: list[Level],
-    leaves: list[list[NDArray]],
-    splits: list[NDArray[np.bool_]],
+    kept: list[NDArray[np.bool_]],
+    leaves: list[list[NDArray[np.int32]]],
     step: float,
 ) -> Array:
     """The array from its leaves."""
     array = np.zeros(shape)
-    alive = np.ones(levels[0].grid, bool)
-    for at, (level, of_groups) in enumerate(zip(levels, leaves, strict=True)):
-        here = alive.copy()
-        if at < len(splits):
-            here[alive] = ~splits[at]
+    for level, here, of_groups in zip(levels, kept, leaves, strict=True):
         for group, leaf in zip(level.groups, of_groups, strict=True):
             if len(leaf) == 0:
                 continue
@@ -216,16 +206,14 @@ def _assemble(
             # of each leaf its block along every axis, and of that the cells
             i, r, p = (of[n] for of, n in zip(group.cells, here[np.ix_(*group.at)].nonzero(), strict=True))
             array[i[:, :, None, None], r[:, None, :, None], p[:, None, None, :]] = cells
-        if at + 1 < len(levels):
-            alive = _children(alive & ~here, levels[at + 1].grid)
     return array
 
 
-def _children(nodes: NDArray[np.bool_], grid: Block) -> NDArray[np.bool_]:
-    """Mark all children of the marked nodes, on their own grid."""
+def _children(blocks: NDArray[np.bool_], grid: Block) -> NDArray[np.bool_]:
+    """Mark all children of the marked blocks, on their own grid."""
     for axis, n in enumerate(grid):
-        nodes = np.repeat(nodes, n // nodes.shape[axis], axis)
-    return nodes
+        blocks = np.repeat(blocks, n // blocks.shape[axis], axis)
+    return blocks
 
 
 _BIT_TABLE = np.array([_BITS_ZERO] + [1.5 * np.log2(1 + n) + _BITS_SIGN for n in range(1, _KNOWN)])
