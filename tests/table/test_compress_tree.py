@@ -1,4 +1,4 @@
-"""The tree's blocks fill a table of any shape, once, and children their parents; the search for the step."""
+"""The tree's blocks fill a table of any shape, once, and children their parents; rows that ask for more."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from gonio.table.compress import row_bounds, tree
-from gonio.table.compress.frame import hold
+from gonio.table.compress.frame import Frame, hold, suit_most
 from gonio.table.compress.metric import excess
 from tests.table.tables import asymmetric, ggx, grid, make
 
 pytestmark = pytest.mark.compiled
 
+FIELDS = ("theta_i", "theta_r_edges", "delta_phi_edges", "channels", "row_albedo", "specular")
 SHAPES = [(1, 1, 1), (2, 3, 5), (1, 91, 181), (13, 73, 146), (7, 1, 64), (90, 90, 180), (5, 97, 400)]
 
 
@@ -43,24 +44,50 @@ def test_decodes_what_it_encoded(shape):
     table = make(asymmetric, grid(*shape))
     bounds = np.full((shape[0], 3), 1e-5)
     content = tree.encode(table, bounds)
-    fields = {
-        name: getattr(table, name) for name in ("theta_i", "theta_r_edges", "delta_phi_edges", "channels")
-    }
-    decoded = tree.decode(content, {**fields, "row_albedo": table.row_albedo, "specular": table.specular})
+    decoded = tree.decode(content, {name: getattr(table, name) for name in FIELDS})
     assert excess(table, decoded, bounds).max() <= 1.0
 
 
 def test_a_step_that_holds_beyond_one_that_does_not_is_found():
     table = make(ggx(0.5, 0.9), grid(6, 10, 12))
     bounds = row_bounds(table, 0.01)
+    assert 0.24 < hold(table, bounds, lambda frame: between(table))[1] < 0.27
+    assert hold(table, bounds, lambda frame: between(table), quick=True)[1] < 0.2
 
-    def jumping(frame):
-        # fails from .2 on, but for .24 to .27
-        def decoded(step):
-            error = 0.5 if step < 0.2 or 0.24 < step < 0.27 else 2.0
-            return table.values * (1.0 + 0.01 * error)
 
-        return decoded
+def between(table):
+    """Decodes within the bound at steps below .2 and from .24 to .27."""
+    return lambda step: table.values * (1.005 if step < 0.2 or 0.24 < step < 0.27 else 1.02)
 
-    assert 0.24 < hold(table, bounds, jumping)[1] < 0.27
-    assert hold(table, bounds, jumping, quick=True)[1] < 0.2
+
+def test_rows_that_ask_for_more_are_stored_more_finely():
+    """Of errors that one row in the middle has three times those of the others."""
+    table = make(ggx(0.5, 0.9), grid(60, 10, 12))
+    bounds = row_bounds(table, 0.01)
+    before = Frame.of(table, bounds)
+    rough = np.where(np.arange(60) == 30, 3.0, 1.0)[:, None, None, None]
+
+    def prepare(frame):
+        coarse = (frame.scale.values / before.scale.values)[:, None, None]
+        return lambda step: table.values * (1 + 0.01 * rough * coarse * step)
+
+    frame, step = hold(table, bounds, prepare)
+    assert step == pytest.approx(1 / 3, rel=0.1)
+    found = suit_most(table, bounds, prepare, frame, step)
+    assert found is not None
+    assert found[1] == pytest.approx(1.0, rel=0.15)
+    assert excess(table, prepare(found[0])(found[1]), bounds).max() <= 1.0
+    granted = found[0].scale.values / before.scale.values
+    assert np.all(granted[30] < 0.4)
+    np.testing.assert_allclose(granted[np.abs(np.arange(60) - 30) > 20], 1.0, rtol=0.1)
+
+
+def test_the_smaller_of_both_is_taken(monkeypatch):
+    table = make(ggx(0.1, 0.9), grid(30, 30, 45))
+    bounds = row_bounds(table, 0.01)
+    both = tree.encode(table, bounds)["tree"].size
+    monkeypatch.setattr(tree, "suit_most", lambda *_: None)
+    one = tree.encode(table, bounds)["tree"].size
+    assert both <= one
+    monkeypatch.setattr(tree, "suit_most", lambda table, bounds, prepare, frame, step: (frame, step / 9))
+    assert tree.encode(table, bounds)["tree"].size == one

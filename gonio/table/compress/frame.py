@@ -13,11 +13,12 @@ colours outside the gamut. Last, each row is scaled to re-integrate to its albed
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from gonio.core.directions import projected_solid_angles
 from gonio.table.compress.codes import Scale, check_codes, codes_of, from_codes, pack_smooth, unpack_smooth
@@ -32,6 +33,11 @@ _MAX_VALUES = 2**28  # 2 GiB of float64: what a damaged file may make us allocat
 _TRIALS = 8
 _BEYOND = 1.1 ** np.arange(7, 0, -1)
 """Where larger steps are tried than the first found to hold: errors of few coefficients jump about."""
+_MOST = 0.8  # share of rows and channels that one step is to suit
+_ROUNDS = 12
+_AIM, _HELD = 0.93, 0.97
+"""Rows whose error is above _HELD of what is allowed are to come to _AIM."""
+_SMOOTH = 1 / 30  # of the rows: a scale that jumps from row to row is no smooth function to a transform
 
 
 @dataclass(frozen=True)
@@ -131,6 +137,17 @@ class Frame:
         rest = values if self.base is None else values - self.base
         return rest * self._weights[:, :, None] * inverse[:, None, None]
 
+    def finer(self, errors: Array) -> Frame:
+        """The frame that grants those rows less whose errors, over what is allowed, shape (I, C), are too large.
+
+        All channels of a row alike, and its neighbours with it.
+        """
+        less = np.minimum(-np.log(np.maximum(errors, _HELD) / _AIM), 0.0) * (errors > _HELD)
+        width = len(less) * _SMOOTH
+        least = ndimage.minimum_filter1d(less.min(axis=1), 2 * round(width) + 1, mode="nearest")
+        smooth = ndimage.gaussian_filter1d(least, width, mode="nearest")
+        return replace(self, scale=Scale.of(self.scale.values * np.exp(smooth)[:, None]))
+
     def restore(self, array: Array) -> Array:
         """Back to values: not negative, 0 in gaps, with the means of their rings, adding up to the albedo.
 
@@ -204,6 +221,24 @@ def hold(
         return frame, _largest(worst, 0.1, 1.2)
     step = _largest(worst, 0.1, 1.02)
     return frame, next((further for further in step * _BEYOND if worst(further) <= 1.0), step)
+
+
+def suit_most(
+    table: Table, bounds: Array, prepare: Prepare, frame: Frame, step: float
+) -> tuple[Frame, float] | None:
+    """A step that suits most rows, and the frame in which it holds the bounds of the others too.
+
+    Few rows would have all others stored too finely; here they alone are. From what `hold` was given and what it
+    returned; None where a few rounds do not find it.
+    """
+    decoded = prepare(frame)
+    most = _largest(lambda s: float(np.quantile(excess(table, decoded(s), bounds), _MOST)), step, 1.1)
+    for _ in range(_ROUNDS):
+        errors = excess(table, prepare(frame)(most), bounds)
+        if errors.max() <= 1.0:
+            return frame, most
+        frame = frame.finer(errors)
+    return None
 
 
 def _largest(worst: Callable[[float], float], step: float, tolerance: float) -> float:

@@ -25,7 +25,7 @@ from scipy import fft
 
 from gonio.core.jit import kernel
 from gonio.table.compress.arithmetic import Decoder, Encoder
-from gonio.table.compress.frame import Frame, hold, shape_of
+from gonio.table.compress.frame import Frame, hold, shape_of, suit_most
 from gonio.table.compress.packing import step_of
 from gonio.table.table import Table
 
@@ -68,7 +68,15 @@ def encode(table: Table, bounds: Array, quick: bool = False, base: Array | None 
             _assemble(shape, levels, *_choose(levels, coefficients, step), step)
         )
 
-    frame, step = hold(table, bounds, prepare, quick, base)
+    found = [hold(table, bounds, prepare, quick, base)]
+    if not quick and (other := suit_most(table, bounds, prepare, *found[0])) is not None:
+        found.append(other)
+    packed = [(frame, step, _pack(table, levels, frame, step)) for frame, step in found]
+    frame, step, smallest = min(packed, key=lambda candidate: candidate[2].size)
+    return {"step": step, **frame.content(), "tree": smallest}
+
+
+def _pack(table: Table, levels: list[Level], frame: Frame, step: float) -> NDArray[np.uint8]:
     kept, leaves = _choose(levels, _transform(frame.normalise(table.values), levels), step)
     encoder = Encoder()
     alive = np.ones(levels[0].grid, bool)
@@ -77,8 +85,8 @@ def encode(table: Table, bounds: Array, quick: bool = False, base: Array | None 
         alive = _children(alive & ~here, child.grid)
     for level, of_groups in zip(levels, leaves, strict=True):
         for group, numbers in zip(level.groups, of_groups, strict=True):
-            encoder.blocks(numbers.reshape(-1, *group.block, shape[3]))
-    return {"step": step, **frame.content(), "tree": encoder.bytes()}
+            encoder.blocks(numbers.reshape(-1, *group.block, table.values.shape[3]))
+    return encoder.bytes()
 
 
 def decode(content: Mapping[str, Any], fields: Mapping[str, Any], base: Array | None = None) -> Array:
