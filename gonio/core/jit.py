@@ -14,14 +14,21 @@ import hashlib
 import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numba
 from numba.core import config as _numba_config
+from numba.core.caching import FunctionCache
 from numba.core.registry import CPUDispatcher
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 config: Any = _numba_config  # its attributes are set at import, where mypy does not see them
 
@@ -73,11 +80,11 @@ def kernel(function: Callable | None = None, *, inline: bool = False, allocates:
                 "no_cfunc_wrapper": True,  # for C and for functions as values: nobody has use for one
             }
             config.CACHE_DIR = str(directory)
-            entry = _Kernel(f, targetoptions=options)
-            entry.enable_caching()
+            entry: Any = _Kernel(f, targetoptions=options)
+            entry._cache = _Cache(f)
             config.CACHE_DIR = str(directory / "called")
             entry.called = CPUDispatcher(f, targetoptions={**options, "no_cpython_wrapper": True})
-            entry.called.enable_caching()
+            entry.called._cache = _Cache(f)
             return entry
         finally:
             config.CACHE_DIR = previous
@@ -123,6 +130,28 @@ class _Kernel(CPUDispatcher):
 
     def get_overload(self, sig: Any) -> Any:
         return self.called.get_overload(sig)
+
+
+class _Cache(FunctionCache):
+    """numba's cache, to which processes write one after the other.
+
+    numba numbers the files of a function's specialisations: two processes that save different ones at a time
+    may take the same number, and from then on one's code is run for the other's types.
+    """
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with _alone(Path(self.cache_path)):
+            super().save_overload(sig, data)
+
+
+@contextmanager
+def _alone(directory: Path) -> Iterator[None]:
+    """Hold a lock that other processes wait for, where the file system has any; who is killed lets go of it."""
+    with open(directory / "lock", "w") as file:
+        with suppress(OSError):
+            if fcntl is not None:
+                fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def _floor_of(function: Callable) -> str:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import threading
+from pathlib import Path
+
 import pytest
+from numba.core.caching import FunctionCache
 
 from gonio.core import jit
 from gonio.core.jit import kernel
@@ -35,3 +39,18 @@ def test_a_kernel_serves_python_and_kernels():
     assert _half(3) == 1.5
     assert _quarter(3) == 0.75
     assert _half(3.0) == 1.5
+
+
+@pytest.mark.skipif(jit.disabled or jit.fcntl is None, reason="nothing is compiled, or no locks")
+@pytest.mark.parametrize(
+    "cache", [lambda: _half._cache, lambda: _half.called._cache], ids=["python", "kernels"]
+)
+def test_processes_write_to_a_cache_one_after_the_other(monkeypatch, cache):
+    monkeypatch.setattr(FunctionCache, "save_overload", lambda self, sig, data: None)
+    writer = threading.Thread(target=cache().save_overload, args=(None, None))
+    with jit._alone(Path(cache().cache_path)):
+        writer.start()
+        writer.join(0.2)
+        assert writer.is_alive()
+    writer.join(10.0)
+    assert not writer.is_alive()
