@@ -147,6 +147,7 @@ class _Cache(FunctionCache):
 @contextmanager
 def _alone(directory: Path) -> Iterator[None]:
     """Hold a lock that other processes wait for, where the file system has any; who is killed lets go of it."""
+    directory.mkdir(parents=True, exist_ok=True)  # somebody may have emptied the cache
     with open(directory / "lock", "w") as file:
         with suppress(OSError):
             if fcntl is not None:

@@ -68,7 +68,7 @@ def own_sums(sums):
 @kernel(allocates=False)
 def add_sums(own, sums):
     """Add what was summed apart."""
-    # Number by number: numpy's sum of whole arrays takes 3 s to compile, most of it its error message.
+    # Number by number: numpy's sum of whole arrays takes 2 s more to compile, for its error message.
     for sheet in range(own.energy.shape[0]):
         for channel in range(own.energy.shape[1]):
             sums.specular[sheet, channel] += own.specular[sheet, channel]

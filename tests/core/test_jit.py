@@ -54,3 +54,8 @@ def test_processes_write_to_a_cache_one_after_the_other(monkeypatch, cache):
         assert writer.is_alive()
     writer.join(10.0)
     assert not writer.is_alive()
+
+
+def test_a_cache_that_was_emptied_is_made_again(tmp_path):
+    with jit._alone(tmp_path / "gone"):
+        assert (tmp_path / "gone").is_dir()
