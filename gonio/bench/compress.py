@@ -9,9 +9,10 @@ whether that costs time. The plain file, first, holds the same numbers: how far 
 the machine tells them apart. The RGL file is what `gonio convert` writes of the same table; it holds no bound.
 
 Where the environment's GONIO_TEST_DATA names a folder of measured BRDFs, every isotropic one in it is written by the
-method that packs it smallest. What a file takes besides (axes, albedos, where it is from: the column `frame`) does not
-shrink with the table, so tables of a few thousand numbers stay far from the ratios of large ones: without any
-frame those of a goniophotometer, of 11 000 numbers, come to 11:1 to 26:1.
+method that packs it smallest. What a file takes besides (axes, albedos, where it is from: the column `frame`), of
+which HDF5's own 511 bytes, does not shrink with the table: at 1 % tables of 65 000 numbers on 1-degree cells came to
+108:1 and 125:1, of 17 000 to 140 000 numbers on coarser or interpolated cells to 27:1 to 84:1, of 2 300 and 4 700
+numbers to 6:1, which is 1.5 and 2.9 kB.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The table's own format: HDF5 with dimension scales, version 1.5.
+"""The table's own format: HDF5 with dimension scales, version 1.6.
 
 Root attributes: ``format`` = "gonio-table", ``version``, ``conventions`` (angles and units in words), and
 ``ledger`` and ``provenance`` as JSON. Datasets carry the field names of `Table`, their ``units``, and a
@@ -10,7 +10,7 @@ a group like the file. A highlight on a grid of its own is the group ``peak`` (s
 accept any minor version of their own major version. Compressed tables are laid out otherwise, for size
 (`gonio.formats.hdf5_compressed`); saved again they become plain ones.
 
-Version 1.1 added parts, version 1.2 the peak, version 1.5 compressed tables as they are now.
+Version 1.1 added parts, version 1.2 the peak, version 1.6 compressed tables as they are now.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from gonio.table.table import Table
 from microgeometry.errors import InputError
 
 FORMAT = "gonio-table"
-VERSION = "1.5"
+VERSION = "1.6"
 _CONVENTIONS = (
     "values are BRDF f_r in 1/sr without cosine, averaged over cells in projected solid angle; theta_i and "
     "theta_r are polar angles of the outward directions to light and detector; delta_phi = |phi_i - phi_r| "
@@ -130,7 +130,9 @@ def read(path: Path) -> Table | AnisotropicTable:
         with h5py.File(path, "r") as file:
             if _is_anisotropic(file, path):
                 return hdf5_anisotropic.read(file, path)
-            return hdf5_compressed.read(file, path) if hdf5_compressed.holds(file) else _read(file, path)
+            if hdf5_compressed.holds(file):
+                return hdf5_compressed.read(file, path, _version(file))
+            return _read(file, path)
     except InputError as error:
         text = str(error)
         raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
@@ -204,7 +206,7 @@ def _is_anisotropic(file: h5py.File, path: Path) -> bool:
             f"{path}: an HDF5 file of something else (it holds {names}); a BRDF table has the attribute "
             f"format = {FORMAT!r}"
         )
-    version = str(_text(file.attrs.get("version", "")))
+    version = _version(file)
     own = VERSION if found == FORMAT else hdf5_anisotropic.VERSION
     major, current = version.partition(".")[0], int(own.partition(".")[0])
     if not major.isdigit():
@@ -216,6 +218,10 @@ def _is_anisotropic(file: h5py.File, path: Path) -> bool:
             f"{path}: table version {version} has its cells laid out otherwise than {own}; trace it again"
         )
     return found == hdf5_anisotropic.FORMAT
+
+
+def _version(file: h5py.File) -> str:
+    return str(_text(file.attrs.get("version", "")))
 
 
 def _text(attribute: Any) -> Any:

@@ -1,17 +1,18 @@
 """Compressed tables in HDF5: as few bytes as the library lets a file have.
 
-A dimension scale, an attribute, a group of more than eight members cost from a hundred bytes to ten thousand. So
-all that a compressed table holds is one dataset of bytes, ``compressed``, a record of `gonio.formats.packed`:
-the table's fields under their names, the content of its method (see `gonio.table.compress`) under
-``content/<name>``, the edges of a highlight's grid under ``peak/<name>``, and the names of its parts. Arrays that
-a filter of HDF5 packs are datasets ``compressed_<name>`` beside it. Parts are groups ``parts/<name>`` alike; what
-they share with their table they do not repeat.
+A dimension scale, an attribute, a group cost from a hundred bytes to ten thousand. So all that a compressed table
+and its parts hold is one dataset of bytes, ``compressed``, a record of `gonio.formats.packed`: the table's fields
+under their names, the content of its method (see `gonio.table.compress`) under ``content/<name>``, the edges of a
+highlight's grid under ``peak/<name>``, and the names of its parts. What a part holds has ``<part>/`` before its
+names; what it shares with the table it does not repeat. Arrays that a filter of HDF5 packs are datasets of their own,
+``compressed_<name in the record>`` with dots for slashes.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.formats.hdf5_content import Filtered
-from gonio.formats.hdf5_data import at, child, read_array
+from gonio.formats.hdf5_data import at, read_array
 from gonio.formats.packed import pack_record, unpack_record
+from gonio.table.parts import walk
 from gonio.table.peak import Peak, slope_areas
 from gonio.table.table import Table
 from microgeometry.errors import InputError
@@ -39,7 +41,9 @@ _FACTS = ("ledger", "provenance")
 _EDGES = ("slope_edges", "psi_edges")
 _LARGEST = 2**30  # bytes of an array from a codec that can shrink without limit
 _MOST_CELLS = 2**24  # of a highlight
-_MAX_DEPTH = 8  # of parts in parts: in a damaged file a group may hold itself
+_MOST_GAPS = 2**28  # cells that may be marked
+_MAX_DEPTH = 8  # of parts in parts
+_SINCE = 6  # minor version of files that are laid out so
 
 
 def holds(group: h5py.Group) -> bool:
@@ -47,25 +51,37 @@ def holds(group: h5py.Group) -> bool:
     return _NAME in group
 
 
-def write(group: h5py.Group, table: Table, contents: Mapping[str, Content], path: str = "") -> None:
+def write(group: h5py.Group, table: Table, contents: Mapping[str, Content]) -> None:
     """Write a table and its parts; `contents` by their paths, as in `gonio.formats.hdf5.write`."""
-    own = _fields(table)
-    if path:
-        own = {name: item for name, item in own.items() if name not in _SHARED}
-    if table.peak is not None:
-        own |= {f"peak/{name}": getattr(table.peak, name) for name in _EDGES}
-    filtered = {n: item for n, item in contents[path].items() if isinstance(item, Filtered)}
-    own |= {f"content/{n}": item for n, item in contents[path].items() if n not in filtered}
-    own["parts"] = list(table.parts)
-    group.create_dataset(_NAME, data=pack_record(own), track_times=False, fill_time="never")
+    record: dict[str, Any] = {}
+    for path, one in {"": table, **dict(walk(table))}.items():
+        prefix = f"{path}/" if path else ""
+        own = _fields(one)
+        if path:
+            own = {name: item for name, item in own.items() if name not in _SHARED}
+        if one.peak is not None:
+            own |= {f"peak/{name}": getattr(one.peak, name) for name in _EDGES}
+        own |= {f"content/{name}": item for name, item in contents[path].items()}
+        own["parts"] = list(one.parts)
+        record |= {prefix + name: item for name, item in own.items()}
+    filtered = {name: item for name, item in record.items() if isinstance(item, Filtered)}
+    packed = pack_record({name: item for name, item in record.items() if name not in filtered})
+    group.create_dataset(_NAME, data=packed, track_times=False, fill_time="never")
     for name, item in filtered.items():
-        item.create(group, f"{_NAME}_{name}")
-    for name, part in table.parts.items():
-        write(group.create_group(f"parts/{name}"), part, contents, f"{path}/{name}".lstrip("/"))
+        item.create(group, _dataset(name))
+
+
+def _dataset(name: str) -> str:
+    """Where an array stands that a filter packs; a slash would make a group."""
+    return f"{_NAME}_{name.replace('/', '.')}"
 
 
 def _fields(table: Table) -> dict[str, Any]:
     """All that is kept of a table but its values, as a record."""
+    from gonio.table.compress.packing import (
+        pack_flags,
+    )  # of a package that writes through `gonio.formats.hdf5`
+
     record = {
         name: getattr(table, name) for name in (*_SHARED, *_NUMBERS) if getattr(table, name) is not None
     }
@@ -73,60 +89,66 @@ def _fields(table: Table) -> dict[str, Any]:
         if not np.any(record[name]):
             del record[name]
     if table.gaps is not None:
-        record["gaps"] = np.packbits(table.gaps)
+        record["gaps"] = pack_flags(table.gaps)
     return record | {name: dict(getattr(table, name)) for name in _FACTS}
 
 
-def read(group: h5py.Group, path: Path, where: str = "", shared: Content | None = None) -> Table:
-    """The table in the file or in the group of a part, whose place `where` ends in a slash; inverse of `write`.
-
-    `shared` is what a part has in common with its table.
+def read(group: h5py.Group, path: Path, version: str) -> Table:
+    """The table and its parts, of a file of the version "1.6" or the like; inverse of `write`.
 
     Raises
     ------
     InputError
         Damaged, or of an older version.
     """
-    if where.count("/") > 2 * _MAX_DEPTH:
-        raise InputError(f"{path}: {where}: parts in parts, {_MAX_DEPTH} deep; compress the table again")
-    if isinstance(group[_NAME], h5py.Group):
-        raise InputError(f"{path}: {where}{_NAME} is of an older version of gonio; compress the table again")
-    packed = read_array(group[_NAME], where + _NAME, path, "u")
-    try:
-        record = {**unpack_record(packed), **(shared or {})}
-        fields = _checked(record)
-        names = [str(name) for name in record["parts"]]
-    except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
-        reason = f"{error} is missing" if isinstance(error, KeyError) else error
-        raise InputError(
-            f"{path}: {where}{_NAME}: damaged content ({reason}); compress the table again"
-        ) from error
-    content = {n.removeprefix("content/"): item for n, item in record.items() if n.startswith("content/")}
+    minor = version.partition(".")[2]
+    if not minor.isdigit() or int(minor) < _SINCE:
+        raise InputError(f"{path}: compressed by an older version of gonio; compress the table again")
+    packed = read_array(group[_NAME], _NAME, path, "u")
+    with _undamaged(path, ""):
+        record = unpack_record(packed)
+    return _table(record, "", group, path)
+
+
+def _table(record: Content, prefix: str, group: h5py.Group, path: Path) -> Table:
+    """The table, or the part whose names in the record begin with `prefix`."""
+    if prefix.count("/") > _MAX_DEPTH:
+        raise InputError(f"{path}: {prefix}: parts in parts, {_MAX_DEPTH} deep; compress the table again")
+    own = {name: item for name, item in record.items() if name in _SHARED}
+    own |= {n.removeprefix(prefix): item for n, item in record.items() if n.startswith(prefix)}
+    with _undamaged(path, prefix):
+        fields = _checked(own)
+        names = dict.fromkeys(map(str, own["parts"]))  # each once, whatever a damaged file says
+    content = {n.removeprefix("content/"): item for n, item in own.items() if n.startswith("content/")}
     # an array that a codec packs to nothing may still be as large as the table that its axes span
     room = 4 * math.prod(len(fields[name]) for name in _AXES[:3])
     room = min(room * len(fields["channels"]), _LARGEST)
+    begins = _dataset(prefix + "content/")
     for name in group:
-        if name.startswith(f"{_NAME}_"):
-            array = read_array(group[name], where + name, path, "fiu", room)
-            content[name.removeprefix(f"{_NAME}_")] = array
+        if name.startswith(begins):
+            content[name.removeprefix(begins)] = read_array(group[name], name, path, "fiu", room)
     from gonio.table.compress import decode, decode_peak  # which write through `gonio.formats.hdf5`
 
-    with at(where):
+    with at(prefix):
         fields["values"] = decode(content, fields)
-        if "peak/slope_edges" in record:
-            edges = [_array(record.get(f"peak/{name}"), name) for name in _EDGES]
+        if "peak/slope_edges" in own:
+            edges = [_array(own.get(f"peak/{name}"), name) for name in _EDGES]
             if edges[0].size * edges[1].size > _MOST_CELLS:
                 raise InputError(f"peak: {edges[0].size} x {edges[1].size} cells; compress the table again")
             fields["peak"] = Peak(decode_peak(content, slope_areas(*edges)), *edges)
-    shared = {name: item for name, item in record.items() if name in _SHARED}
-    fields["parts"] = {}
-    for name in names:
-        inner = child(child(group, "parts", path, where), name, path, f"{where}parts/")
-        if not holds(inner):
-            raise InputError(f"{path}: {where}parts/{name}/{_NAME} is missing; compress the table again")
-        fields["parts"][name] = read(inner, path, f"{where}parts/{name}/", shared)
-    with at(where):
+    fields["parts"] = {name: _table(record, f"{prefix}{name}/", group, path) for name in names}
+    with at(prefix):
         return Table(**fields)
+
+
+@contextmanager
+def _undamaged(path: Path, prefix: str) -> Iterator[None]:
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
+        reason = f"{error} is missing" if isinstance(error, KeyError) else error
+        where = f"{_NAME}/{prefix}".rstrip("/")
+        raise InputError(f"{path}: {where}: damaged content ({reason}); compress the table again") from error
 
 
 def _checked(record: Content) -> dict[str, Any]:
@@ -139,12 +161,12 @@ def _checked(record: Content) -> dict[str, Any]:
     if "wavelengths_nm" in record:
         fields["wavelengths_nm"] = tuple(float(w) for w in record["wavelengths_nm"])
     if "gaps" in record:
-        rows, rings, sectors = (len(fields[name]) for name in _AXES[:3])
-        cells, packed = rows * (rings - 1) * (sectors - 1), _array(record["gaps"], "gaps")
-        if 8 * packed.size - cells not in range(8):
-            raise ValueError(f"{packed.size} bytes of gaps for {cells} cells")
-        bits = np.unpackbits(packed.astype(np.uint8), count=cells).astype(bool)
-        fields["gaps"] = bits.reshape(rows, rings - 1, sectors - 1)
+        from gonio.table.compress.packing import unpack_flags
+
+        cells = tuple(len(fields[name]) - (name != "theta_i") for name in _AXES[:3])
+        if math.prod(cells) > _MOST_GAPS:
+            raise ValueError(f"gaps of {cells} cells")
+        fields["gaps"] = unpack_flags(record["gaps"], cells)
     for name in _FACTS:
         if not isinstance(record[name], dict):
             raise ValueError(f"{name} is no object")

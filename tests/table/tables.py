@@ -112,10 +112,10 @@ def ggx(alpha, albedo=1.0):
     return brdf
 
 
-def edit_record(path, action, where=""):
-    """Do something to the record of a compressed table, or of its part at `where`, which ends in a slash."""
+def edit_record(path, action):
+    """Do something to the record of a compressed table."""
     with h5py.File(path, "r+") as file:
-        record = unpack_record(file[where + "compressed"][()])
+        record = unpack_record(file["compressed"][()])
         action(record)
-        del file[where + "compressed"]
-        file[where + "compressed"] = pack_record(record)
+        del file["compressed"]
+        file["compressed"] = pack_record(record)

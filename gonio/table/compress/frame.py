@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 _RING_STEP = 0.01  # relative, of the stored means of rings
 _MAX_VALUES = 2**28  # 2 GiB of float64: what a damaged file may make us allocate at most
 _TRIALS = 8
+_BEYOND = 1.1 ** np.arange(7, 0, -1)
+"""Where larger steps are tried than the first found to hold: errors of few coefficients jump about."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +200,10 @@ def hold(
     def worst(step: float) -> float:
         return float(excess(table, decoded(step), bounds).max())
 
-    return frame, _largest(worst, 0.1, 1.2 if quick else 1.02)
+    if quick:
+        return frame, _largest(worst, 0.1, 1.2)
+    step = _largest(worst, 0.1, 1.02)
+    return frame, next((further for further in step * _BEYOND if worst(further) <= 1.0), step)
 
 
 def _largest(worst: Callable[[float], float], step: float, tolerance: float) -> float:

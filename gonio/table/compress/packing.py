@@ -32,6 +32,27 @@ def unpack(packed: NDArray, shape: tuple[int, ...]) -> NDArray[np.int64]:
     return numbers.reshape(shape).astype(np.int64)
 
 
+def pack_flags(flags: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """An array of flags of three axes, neighbours along the last two mostly alike."""
+    encoder = Encoder()
+    encoder.flags(flags.reshape(-1, flags.shape[2]))
+    return encoder.bytes()
+
+
+def unpack_flags(packed: NDArray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """What `pack_flags` packed.
+
+    Raises
+    ------
+    ValueError, TypeError
+        Damaged.
+    """
+    decoder = Decoder(packed)
+    flags = decoder.flags((shape[0] * shape[1], shape[2]))
+    decoder.end()
+    return flags.reshape(shape)
+
+
 def _one_block(numbers: NDArray) -> NDArray:
     return numbers.reshape((1, *numbers.shape[:-1], *[1] * (4 - numbers.ndim), numbers.shape[-1]))
 

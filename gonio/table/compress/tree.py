@@ -1,19 +1,22 @@
 """Compression by an adaptive tree of blocks (tensor tree), each with a cosine transform of its own.
 
-The array of equal importance (`gonio.table.compress.frame`) is cut into blocks of up to 32 x 32 x 64 cells
-(theta_i, theta_r, delta phi; all channels together). A block is either a leaf, its cosine transform quantised,
-or is halved along every axis into children. Which is cheaper is decided from the smallest blocks up by
-Lagrange's cost: squared error + lambda x bits, lambda in proportion to the step squared as the theory of
-uniform quantisers has it (Sullivan & Wiegand 1998, "Rate-distortion optimization for video compression").
+The array of equal importance (`gonio.table.compress.frame`) is cut into blocks of up to 96 x 96 x 192 cells
+(theta_i, theta_r, delta phi; all channels together) by halving its axes. A block is either a leaf, its cosine
+transform quantised, or is halved along every axis into children. Which is cheaper is decided from the smallest
+blocks up by Lagrange's cost: squared error + lambda x bits, lambda in proportion to the step squared as the theory
+of uniform quantisers has it (Sullivan & Wiegand 1998, "Rate-distortion optimization for video compression").
 So a peak costs what it holds, wherever it is, and smooth parts of the table next to nothing.
 
-Leaves are stored level by level, the largest blocks first. The transform is orthonormal, the error of the
-coefficients that of the values.
+An odd number of cells is halved into two that differ by one: a block filled up with cells that are not in the table
+would pay for them, a third more bytes in tables of 90 x 90 x 180. First is stored which blocks are leaves, then the
+leaves, both level by level, the largest blocks first, and in a level those of one shape together. The transform is
+orthonormal, the error of the coefficients that of the values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,38 +30,54 @@ from gonio.table.compress.packing import step_of
 from gonio.table.table import Table
 
 Array = NDArray[np.float64]
-Block = tuple[int, int, int]
+Block = tuple[int, ...]
 
-_LARGEST: Block = (32, 32, 64)
+_LARGEST: Block = (96, 96, 192)
 _LAMBDA = 0.12  # times step^2: 2 ln 2/12 for fine quantisers
 _ROUND = 0.4  # a coefficient is rounded up from 0.6 on: most just below are noise, and 0 is cheap
 _BITS_ZERO, _BITS_SIGN = 0.15, 3.5  # rough cost of a 0, and of place and sign of another number
 _KNOWN = 64
 
 
-class Level(NamedTuple):
-    """All blocks of one size."""
+class Group(NamedTuple):
+    """Blocks of one level and one shape."""
 
     block: Block
-    coefficients: NDArray[np.float32]
-    """(blocks along i, r, phi, cells of a block x channels)."""
+    at: tuple[NDArray[np.int64], ...]
+    """Which of the level's blocks, along each axis."""
+    cells: tuple[NDArray[np.int64], ...]
+    """Their cells along each axis, shape (blocks, cells of a block)."""
+
+
+class Level(NamedTuple):
+    """All blocks of a table that was halved as many times."""
+
+    grid: Block
+    """Number of blocks along each axis."""
+    groups: list[Group]
 
 
 def encode(table: Table, bounds: Array, quick: bool = False, base: Array | None = None) -> dict[str, Any]:
     """As `gonio.table.compress.dct.encode`; of the values less `base`, where it is given."""
     shape = table.values.shape
+    levels = levels_of(shape)
 
     def prepare(frame: Frame) -> Callable[[float], Array]:
-        levels = _levels(frame.normalise(table.values))
-        return lambda step: frame.restore(_assemble(shape, *_choose(levels, step), step))
+        coefficients = _transform(frame.normalise(table.values), levels)
+        return lambda step: frame.restore(
+            _assemble(shape, levels, *_choose(levels, coefficients, step), step)
+        )
 
     frame, step = hold(table, bounds, prepare, quick, base)
-    leaves, splits = _choose(_levels(frame.normalise(table.values)), step)
+    kept, leaves = _choose(levels, _transform(frame.normalise(table.values), levels), step)
     encoder = Encoder()
-    for block, leaf, split in zip(block_sizes(shape), leaves, [*splits, None], strict=True):
-        if split is not None:
-            encoder.flags(split[None])
-        encoder.blocks(leaf.reshape(-1, *block, shape[3]))
+    alive = np.ones(levels[0].grid, bool)
+    for here, child in zip(kept, levels[1:], strict=False):
+        encoder.flags(~here[alive][None])
+        alive = _children(alive & ~here, child.grid)
+    for level, of_groups in zip(levels, leaves, strict=True):
+        for group, numbers in zip(level.groups, of_groups, strict=True):
+            encoder.blocks(numbers.reshape(-1, *group.block, shape[3]))
     return {"step": step, **frame.content(), "tree": encoder.bytes()}
 
 
@@ -66,115 +85,135 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any], base: Array | 
     """As `gonio.table.compress.dct.decode`; `base` as in `encode`."""
     shape = shape_of(fields)
     frame, step = Frame.read(content, fields, base), step_of(content)
-    sizes = block_sizes(shape)
+    levels = levels_of(shape)
     decoder = Decoder(content["tree"])
-    leaves, splits, n = [], [], int(np.prod(_grid(shape, sizes[0])))
-    for block, child in zip(sizes, [*sizes[1:], None], strict=True):
-        split = np.zeros(n, bool) if child is None else decoder.flags((1, n))[0]
-        count = n - int(split.sum())
-        leaves.append(
-            decoder.blocks((count, *block, shape[3])).reshape(count, int(np.prod(block)) * shape[3])
-        )
-        if child is not None:
-            splits.append(split)
-            n = int(split.sum()) * int(np.prod(_ratio(block, child)))
+    kept = []
+    alive = np.ones(levels[0].grid, bool)
+    for child in levels[1:]:
+        here = alive.copy()
+        here[alive] = ~decoder.flags((1, int(alive.sum())))[0]
+        kept.append(here)
+        alive = _children(alive & ~here, child.grid)
+    kept.append(alive)
+    leaves = [
+        [decoder.blocks((int(here[np.ix_(*g.at)].sum()), *g.block, shape[3])) for g in level.groups]
+        for level, here in zip(levels, kept, strict=True)
+    ]
     decoder.end()
-    return frame.restore(_assemble(shape, leaves, splits, step))
+    return frame.restore(_assemble(shape, levels, kept, leaves, step))
 
 
-def block_sizes(shape: tuple[int, ...]) -> list[Block]:
-    """Sizes of blocks from the largest to the smallest, whose longest side is 2."""
-    top = tuple(min(most, 1 << int(np.ceil(np.log2(n)))) for most, n in zip(_LARGEST, shape[:3], strict=True))
-    halvings = max(1, int(np.log2(max(top))))
-    return [(max(1, top[0] >> k), max(1, top[1] >> k), max(1, top[2] >> k)) for k in range(halvings)]
-
-
-def _grid(shape: tuple[int, ...], block: Block) -> Block:
-    """Number of blocks along each axis, all of the largest ones filled up."""
-    top = block_sizes(shape)[0]
-    i, r, p = (-(-n // most) * (most // b) for n, most, b in zip(shape, top, block, strict=False))
-    return i, r, p
-
-
-def _ratio(block: Block, child: Block) -> Block:
-    """Children along each axis."""
-    return block[0] // child[0], block[1] // child[1], block[2] // child[2]
-
-
-def _levels(array: Array) -> list[Level]:
-    """Cosine transforms of all blocks of all sizes."""
-    shape = array.shape
-    top = block_sizes(shape)[0]
-    padding = [(0, -n % most) for n, most in zip(shape, top, strict=False)]
-    padded = np.pad(array, [*padding, (0, 0)], mode="edge").astype(np.float32)
+def levels_of(shape: tuple[int, ...]) -> list[Level]:
+    """Levels from the largest blocks to the smallest, whose longest side is 2 to 4 cells."""
+    cells = np.array(shape[:3])
+    most = np.log2(cells).astype(int)  # an axis is halved until one cell is left
+    first = int(max(0, *np.ceil(np.log2(cells / _LARGEST))))
     levels = []
-    for block in block_sizes(shape):
-        grid, channels = _grid(shape, block), shape[3]
-        cut = padded.reshape(grid[0], block[0], grid[1], block[1], grid[2], block[2], channels)
-        cells = cut.transpose(0, 2, 4, 1, 3, 5, 6)
-        coefficients = fft.dctn(cells, axes=(3, 4, 5, 6), norm="ortho", workers=-1).reshape(*grid, -1)
-        levels.append(Level(block, coefficients))
+    for halvings in range(first, max(first + 1, int(most.max()))):
+        axes = [_pieces(n, min(halvings, k)) for n, k in zip(cells.tolist(), most.tolist(), strict=True)]
+        groups = [
+            Group(
+                tuple(p.shape[1] for _, p in piece), tuple(at for at, _ in piece), tuple(p for _, p in piece)
+            )
+            for piece in product(*axes)
+        ]
+        levels.append(Level(tuple(1 << min(halvings, k) for k in most.tolist()), groups))
     return levels
 
 
-def _choose(levels: list[Level], step: float) -> tuple[list[NDArray], list[NDArray[np.bool_]]]:
-    """The cheapest tree: leaves of each level, shape (n, coefficients), and which nodes of it are split."""
+def _pieces(n: int, halvings: int) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Cells 0 to n halved again and again: of each size which pieces have it, and their cells, shape (pieces, size)."""
+    cuts = (np.arange((1 << halvings) + 1) * n) >> halvings
+    sizes = np.diff(cuts)
+    found = []
+    for size in np.unique(sizes)[::-1]:
+        at = np.flatnonzero(sizes == size)
+        found.append((at, cuts[at][:, None] + np.arange(size)))
+    return found
+
+
+def _places(group: Group) -> tuple[NDArray[np.int64], ...]:
+    """Index of all cells of a group's blocks: (blocks along i, r, phi, cells along i, r, phi)."""
+    i, r, p = group.cells
+    return i[:, None, None, :, None, None], r[None, :, None, None, :, None], p[None, None, :, None, None, :]
+
+
+def _transform(array: Array, levels: list[Level]) -> list[list[NDArray[np.float32]]]:
+    """Cosine transforms of all blocks of all groups: (blocks along i, r, phi, coefficients)."""
+    single = array.astype(np.float32)
+    found = []
+    for level in levels:
+        of_groups = []
+        for group in level.groups:
+            cells = single[_places(group)]
+            coefficients = fft.dctn(cells, axes=(3, 4, 5, 6), norm="ortho", workers=-1, overwrite_x=True)
+            of_groups.append(coefficients.reshape(*cells.shape[:3], -1))
+        found.append(of_groups)
+    return found
+
+
+def _choose(
+    levels: list[Level], coefficients: list[list[NDArray[np.float32]]], step: float
+) -> tuple[list[NDArray[np.bool_]], list[list[NDArray[np.int32]]]]:
+    """The cheapest tree: which blocks of each level are leaves, and those of each group, shape (n, coefficients)."""
     keeps: list[NDArray[np.bool_]] = []
     below: NDArray | None = None
-    for at in range(len(levels) - 1, -1, -1):
-        level = levels[at]
-        grid = level.coefficients.shape[:3]
-        flat = level.coefficients.reshape(-1, level.coefficients.shape[3])
-        costs = np.empty(len(flat))
-        _costs(flat, 1.0 / step, _BIT_TABLE, costs)
-        cost = costs.reshape(grid)
+    for level, of_groups in zip(reversed(levels), reversed(coefficients), strict=True):
+        cost = np.empty(level.grid)
+        for group, numbers in zip(level.groups, of_groups, strict=True):
+            costs = np.empty(int(np.prod(numbers.shape[:3])))
+            _costs(numbers.reshape(len(costs), -1), 1.0 / step, _BIT_TABLE, costs)
+            cost[np.ix_(*group.at)] = costs.reshape(numbers.shape[:3])
         if below is None:
-            keep, below = np.ones(grid, bool), cost
+            keep, below = np.ones(level.grid, bool), cost
         else:
-            a, b, c = _ratio(level.block, levels[at + 1].block)
-            children = below.reshape(grid[0], a, grid[1], b, grid[2], c).sum(axis=(1, 3, 5)) + _LAMBDA
+            a, b, c = (n // m for n, m in zip(below.shape, level.grid, strict=True))
+            i, r, p = level.grid
+            children = below.reshape(i, a, r, b, p, c).sum(axis=(1, 3, 5)) + _LAMBDA
             keep = cost <= children
             below = np.where(keep, cost, children)
         keeps.append(keep)
-    leaves, splits = [], []
-    alive = np.ones(levels[0].coefficients.shape[:3], bool)
+    kept: list[NDArray[np.bool_]] = []
+    leaves = []
+    alive = np.ones(levels[0].grid, bool)
     for at, (level, keep) in enumerate(zip(levels, reversed(keeps), strict=True)):
-        scaled = level.coefficients[alive & keep] / step
-        leaves.append((np.sign(scaled) * np.floor(np.abs(scaled) + _ROUND)).astype(np.int32))
-        if at + 1 < len(levels):
-            splits.append(~keep[alive])
-            alive = _children(alive & ~keep, _ratio(level.block, levels[at + 1].block))
-    return leaves, splits
+        if at:
+            alive = _children(alive & ~kept[-1], level.grid)
+        kept.append(alive & keep)
+        quantised = []
+        for group, numbers in zip(level.groups, coefficients[at], strict=True):
+            scaled = numbers[kept[-1][np.ix_(*group.at)]] / step
+            quantised.append((np.sign(scaled) * np.floor(np.abs(scaled) + _ROUND)).astype(np.int32))
+        leaves.append(quantised)
+    return kept, leaves
 
 
 def _assemble(
-    shape: tuple[int, ...], leaves: list[NDArray], splits: list[NDArray[np.bool_]], step: float
+    shape: tuple[int, ...],
+    levels: list[Level],
+    kept: list[NDArray[np.bool_]],
+    leaves: list[list[NDArray[np.int32]]],
+    step: float,
 ) -> Array:
     """The array from its leaves."""
-    sizes = block_sizes(shape)
-    grid = _grid(shape, sizes[0])
-    padded = np.zeros([n * b for n, b in zip(grid, sizes[0], strict=True)] + [shape[3]])
-    alive = np.ones(grid, bool)
-    for at, (block, leaf) in enumerate(zip(sizes, leaves, strict=True)):
-        here = alive.copy()
-        if at < len(splits):
-            here[alive] = ~splits[at]
-        if len(leaf):
-            coefficients = (leaf * step).reshape(-1, *block, shape[3])
-            cells = fft.idctn(coefficients, axes=(1, 2, 3, 4), norm="ortho", workers=-1)
-            grid = here.shape
-            view = padded.reshape(grid[0], block[0], grid[1], block[1], grid[2], block[2], shape[3])
-            view.transpose(0, 2, 4, 1, 3, 5, 6)[here] = cells
-        if at + 1 < len(sizes):
-            alive = _children(alive & ~here, _ratio(block, sizes[at + 1]))
-    return padded[: shape[0], : shape[1], : shape[2]]
+    array = np.zeros(shape)
+    for level, here, of_groups in zip(levels, kept, leaves, strict=True):
+        for group, leaf in zip(level.groups, of_groups, strict=True):
+            if len(leaf) == 0:
+                continue
+            coefficients = (leaf * step).reshape(-1, *group.block, shape[3])
+            cells = fft.idctn(coefficients, axes=(1, 2, 3, 4), norm="ortho", workers=-1, overwrite_x=True)
+            # of each leaf its block along every axis, and of that the cells
+            i, r, p = (of[n] for of, n in zip(group.cells, here[np.ix_(*group.at)].nonzero(), strict=True))
+            array[i[:, :, None, None], r[:, None, :, None], p[:, None, None, :]] = cells
+    return array
 
 
-def _children(nodes: NDArray[np.bool_], ratio: Block) -> NDArray[np.bool_]:
-    """Mark all children of the marked nodes."""
-    for axis, n in enumerate(ratio):
-        nodes = np.repeat(nodes, n, axis)
-    return nodes
+def _children(blocks: NDArray[np.bool_], grid: Block) -> NDArray[np.bool_]:
+    """Mark all children of the marked blocks, on their own grid."""
+    for axis, n in enumerate(grid):
+        blocks = np.repeat(blocks, n // blocks.shape[axis], axis)
+    return blocks
 
 
 _BIT_TABLE = np.array([_BITS_ZERO] + [1.5 * np.log2(1 + n) + _BITS_SIGN for n in range(1, _KNOWN)])
