@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 
 import pytest
@@ -46,14 +45,17 @@ def test_a_kernel_serves_python_and_kernels():
     "cache", [lambda: _half._cache, lambda: _half.called._cache], ids=["python", "kernels"]
 )
 def test_processes_write_to_a_cache_one_after_the_other(monkeypatch, cache):
-    monkeypatch.setattr(FunctionCache, "save_overload", lambda self, sig, data: None)
-    writer = threading.Thread(target=cache().save_overload, args=(None, None))
-    with jit._alone(Path(cache().cache_path)):
-        writer.start()
-        writer.join(0.2)
-        assert writer.is_alive()
-    writer.join(10.0)
-    assert not writer.is_alive()
+    def save(self, sig, data):
+        # flock tells one opening of a file from another, of the same process too
+        with open(Path(self.cache_path, "lock")) as file, pytest.raises(BlockingIOError):
+            jit.fcntl.flock(file, jit.fcntl.LOCK_EX | jit.fcntl.LOCK_NB)
+        saved.append(sig)
+
+    saved = []
+    monkeypatch.setattr(FunctionCache, "save_overload", save)
+    for sig in ("first", "second"):  # the lock was let go
+        cache().save_overload(sig, None)
+    assert saved == ["first", "second"]
 
 
 def test_a_cache_that_was_emptied_is_made_again(tmp_path):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import time
+import multiprocessing
+import os
 
 import pytest
 
@@ -19,22 +20,25 @@ def cache(tmp_path, monkeypatch):
     return tmp_path
 
 
-def _fail_late(file):
-    time.sleep(0.3)
-    file.touch()
+def _fail_when_told(pipe):
+    pipe.read_text()
+    pipe.with_name("used").touch()
     raise OSError("no room on the disk")
 
 
 def test_the_second_process_is_waited_for_and_tells_its_error(cache, capfd):
-    with demo._meanwhile(_fail_late, cache / "used"):
-        pass
+    os.mkfifo(cache / "pipe")
+    with demo._meanwhile(_fail_when_told, cache / "pipe"):
+        (cache / "pipe").write_text("go on")
     assert (cache / "used").exists()
     assert "no room on the disk" in capfd.readouterr().err
 
 
 def test_ctrl_c_ends_the_second_process(cache):
-    with pytest.raises(KeyboardInterrupt), demo._meanwhile(_fail_late, cache / "used"):
+    os.mkfifo(cache / "pipe")
+    with pytest.raises(KeyboardInterrupt), demo._meanwhile(_fail_when_told, cache / "pipe"):
         raise KeyboardInterrupt
+    assert multiprocessing.active_children() == []
     assert not (cache / "used").exists()
 
 
@@ -49,5 +53,5 @@ def test_there_is_no_second_process_where_it_helps_nobody(cache, monkeypatch, wh
     monkeypatch.setattr(
         demo.multiprocessing, "get_context", lambda method: pytest.fail("a process was started")
     )
-    with demo._meanwhile(_fail_late, cache / "used"):
+    with demo._meanwhile(_fail_when_told, cache / "pipe"):
         pass
