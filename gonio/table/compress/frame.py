@@ -34,6 +34,7 @@ _TRIALS = 8
 _BEYOND = 1.1 ** np.arange(7, 0, -1)
 """Where larger steps are tried than the first found to hold: errors of few coefficients jump about."""
 _MOST = 0.8  # share of rows and channels that one step is to suit
+_NEEDED = 0.6  # of the error allowed: rows that come so near to it need their step
 _ROUNDS = 12
 _AIM, _HELD = 0.93, 0.97
 """Rows whose error is above _HELD of what is allowed are to come to _AIM."""
@@ -229,14 +230,20 @@ def suit_most(
     """A step that suits most rows, and the frame in which it holds the bounds of the others too.
 
     Few rows would have all others stored too finely; here they alone are. From what `hold` was given and what it
-    returned; None where a few rounds do not find it.
+    returned; None where most need that step anyway, or a few rounds do not find another.
     """
     decoded = prepare(frame)
-    most = _largest(lambda s: float(np.quantile(excess(table, decoded(s), bounds), _MOST)), step, 1.1)
+
+    def most(step: float) -> float:
+        return float(np.quantile(excess(table, decoded(step), bounds), _MOST))
+
+    if most(step) > _NEEDED:
+        return None
+    suited = _largest(most, step, 1.1)
     for _ in range(_ROUNDS):
-        errors = excess(table, prepare(frame)(most), bounds)
+        errors = excess(table, prepare(frame)(suited), bounds)
         if errors.max() <= 1.0:
-            return frame, most
+            return frame, suited
         frame = frame.finer(errors)
     return None
 
