@@ -1,4 +1,4 @@
-"""The table's own format: HDF5 with dimension scales, version 1.6.
+"""The table's own format: HDF5 with dimension scales, version 1.7.
 
 Root attributes: ``format`` = "gonio-table", ``version``, ``conventions`` (angles and units in words), and
 ``ledger`` and ``provenance`` as JSON. Datasets carry the field names of `Table`, their ``units``, and a
@@ -10,7 +10,7 @@ a group like the file. A highlight on a grid of its own is the group ``peak`` (s
 accept any minor version of their own major version. Compressed tables are laid out otherwise, for size
 (`gonio.formats.hdf5_compressed`); saved again they become plain ones.
 
-Version 1.1 added parts, version 1.2 the peak, version 1.6 compressed tables as they are now.
+Version 1.1 added parts, version 1.2 the peak, version 1.7 compressed tables as they are now.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from gonio.table.table import Table
 from microgeometry.errors import InputError
 
 FORMAT = "gonio-table"
-VERSION = "1.6"
+VERSION = "1.7"
 _CONVENTIONS = (
     "values are BRDF f_r in 1/sr without cosine, averaged over cells in projected solid angle; theta_i and "
     "theta_r are polar angles of the outward directions to light and detector; delta_phi = |phi_i - phi_r| "

@@ -2,7 +2,8 @@
 
 A dimension scale, an attribute, a group cost from a hundred bytes to ten thousand. So all that a compressed table
 and its parts hold is one dataset of bytes, ``compressed``, a record of `gonio.formats.packed`: the table's fields
-under their names, the content of its method (see `gonio.table.compress`) under ``content/<name>``, the edges of a
+under their names, albedo (of the cells) and delta term to a millionth, their error bars to a hundredth, in
+logarithmic steps, the content of its method (see `gonio.table.compress`) under ``content/<name>``, the edges of a
 highlight's grid under ``peak/<name>``, and the names of its parts. What a part holds has ``<part>/`` before its
 names; what it shares with the table it does not repeat. Arrays that a filter of HDF5 packs are datasets of their own,
 ``compressed_<name in the record>`` with dots for slashes.
@@ -28,22 +29,24 @@ from gonio.table.peak import Peak, slope_areas
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
+Array = NDArray[np.float64]
 Content = Mapping[str, Any]
 
 _NAME = "compressed"
 _AXES = ("theta_i", "theta_r_edges", "delta_phi_edges", "theta_i_edges")
 _SHARED = (*_AXES, "channels", "wavelengths_nm")
 """Of a table and its parts."""
-_NUMBERS = ("row_albedo", "albedo_std_error", "specular", "specular_std_error")
-_ZERO = _NUMBERS[1:]
-"""Left out where they are 0 everywhere."""
+_CELLS = "albedo_of_cells"
+_STEPS = {_CELLS: 1e-6, "specular": 1e-6, "albedo_std_error": 0.01, "specular_std_error": 0.01}
+"""Numbers of rows and channels, and the relative steps they are kept in; left out where they are 0 everywhere."""
 _FACTS = ("ledger", "provenance")
 _EDGES = ("slope_edges", "psi_edges")
 _LARGEST = 2**30  # bytes of an array from a codec that can shrink without limit
+_MOST_NUMBERS = 2**18  # of rows and channels
 _MOST_CELLS = 2**24  # of a highlight
 _MOST_GAPS = 2**28  # cells that may be marked
 _MAX_DEPTH = 8  # of parts in parts
-_SINCE = 6  # minor version of files that are laid out so
+_SINCE = 7  # minor version of files that are laid out so
 
 
 def holds(group: h5py.Group) -> bool:
@@ -78,23 +81,26 @@ def _dataset(name: str) -> str:
 
 def _fields(table: Table) -> dict[str, Any]:
     """All that is kept of a table but its values, as a record."""
-    from gonio.table.compress.packing import (
-        pack_flags,
-    )  # of a package that writes through `gonio.formats.hdf5`
+    # of a package that writes through `gonio.formats.hdf5`
+    from gonio.table.compress.codes import Steps
+    from gonio.table.compress.packing import pack_flags
 
-    record = {
-        name: getattr(table, name) for name in (*_SHARED, *_NUMBERS) if getattr(table, name) is not None
-    }
-    for name in _ZERO:
-        if not np.any(record[name]):
-            del record[name]
+    record = {name: getattr(table, name) for name in _SHARED if getattr(table, name) is not None}
+    for name, step in _STEPS.items():
+        numbers = table.row_albedo - table.specular if name == _CELLS else getattr(table, name)
+        if not np.any(numbers):
+            continue
+        try:
+            record |= Steps.of(numbers, step).content(name)
+        except ValueError:  # colours outside the gamut
+            record[name] = numbers
     if table.gaps is not None:
         record["gaps"] = pack_flags(table.gaps)
     return record | {name: dict(getattr(table, name)) for name in _FACTS}
 
 
 def read(group: h5py.Group, path: Path, version: str) -> Table:
-    """The table and its parts, of a file of the version "1.6" or the like; inverse of `write`.
+    """The table and its parts, of a file of the version "1.7" or the like; inverse of `write`.
 
     Raises
     ------
@@ -153,11 +159,12 @@ def _undamaged(path: Path, prefix: str) -> Iterator[None]:
 
 def _checked(record: Content) -> dict[str, Any]:
     """A table's fields, of the right types; `Table` checks what they hold."""
-    fields: dict[str, Any] = {n: _array(record[n], n) for n in (*_AXES, *_NUMBERS) if n in record}
+    fields: dict[str, Any] = {n: _array(record[n], n) for n in _AXES if n in record}
     fields["channels"] = tuple(str(name) for name in record["channels"])
-    for name in (*_AXES[:3], "row_albedo"):
+    for name in _AXES[:3]:
         if fields[name].ndim == 0:
             raise ValueError(f"{name} is a single number")
+    fields |= _numbers(record, (len(fields["theta_i"]), len(fields["channels"])))
     if "wavelengths_nm" in record:
         fields["wavelengths_nm"] = tuple(float(w) for w in record["wavelengths_nm"])
     if "gaps" in record:
@@ -172,6 +179,21 @@ def _checked(record: Content) -> dict[str, Any]:
             raise ValueError(f"{name} is no object")
         fields[name] = record[name]
     return fields
+
+
+def _numbers(record: Content, shape: tuple[int, int]) -> dict[str, Array]:
+    """Albedo, delta term and their error bars, of as many rows and channels."""
+    from gonio.table.compress.codes import Steps
+
+    if math.prod(shape) > _MOST_NUMBERS:
+        raise ValueError(f"{shape} rows and channels")
+    found = {_CELLS: np.zeros(shape), "specular": np.zeros(shape)}
+    for name in record.keys() & _STEPS:
+        item = _array(record[name], name)
+        found[name] = Steps.read(record, name, shape, _STEPS[name]).values if item.dtype == np.uint8 else item
+        if found[name].shape != shape:
+            raise ValueError(f"{name} of shape {found[name].shape} for {shape} rows and channels")
+    return {"row_albedo": found.pop(_CELLS) + found["specular"], **found}
 
 
 def _array(item: Any, name: str) -> NDArray:

@@ -90,7 +90,7 @@ def test_optional_fields_stay_absent(tmp_path):
 def test_units_axes_and_scales(saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "gonio-table"
-        assert file.attrs["version"] == "1.6"
+        assert file.attrs["version"] == "1.7"
         values = file["values"]
         assert values.attrs["units"] == "1/sr"
         assert values.compression == "gzip"
@@ -167,7 +167,7 @@ DAMAGE = {
     "truncated early": (cut(0.01), "damaged or truncated"),
     "garbled chunk": (overwrite, "dataset std_error is damaged or truncated"),
     "foreign": (lambda p: (p.unlink(), edit_new(p)), "something else .it holds temperature"),
-    "newer": (attribute("version", "2.0"), "version 2.0 is newer than 1.6, update gonio"),
+    "newer": (attribute("version", "2.0"), "version 2.0 is newer than 1.7, update gonio"),
     "no version": (attribute("version", "x"), "attribute version"),
     "no values": (drop("values"), "dataset values is missing"),
     "no channel": (drop("channel"), "dataset channel is missing"),

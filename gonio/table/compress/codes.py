@@ -13,67 +13,76 @@ from gonio.table.compress.packing import pack, unpack
 
 Array = NDArray[np.float64]
 
-_ALONG: tuple[tuple[int, ...], ...] = ((), (1,), (0,), (0, 1), (1, 1))
-"""Axes along which differences of rows' and rings' codes are taken."""
-_SCALE_STEP = 0.001  # relative; rows that differ at random by that much are as smooth to a transform
+_ALONG: tuple[tuple[int, ...], ...] = ((), (2,), (1, 2), (0, 2), (0, 1, 2), (1, 1, 2))
+"""Axes along which differences of codes are taken."""
+_MOST = 2**27  # of codes: their third differences are to be integers of 32 bits
 
 
 @dataclass(frozen=True)
-class Scale:
-    """What rows are divided by, shape (I, C): the error allowed in each, in logarithmic steps."""
+class Steps:
+    """Numbers that are not negative, shape (I, C), in logarithmic steps above the smallest; 0 stays 0.
+
+    Parameters
+    ----------
+    codes : ndarray of int, shape (I, C)
+        Steps from the floor, from 1; 0 of 0.
+    floor, step : float
+        The smallest number that is not 0, and the relative step.
+    """
 
     codes: NDArray[np.int64]
     floor: float
+    step: float
 
     @classmethod
-    def of(cls, values: Array) -> Scale:
-        """Nearest to the values, which are not negative; 0 stays 0."""
-        floor = float(np.min(values, initial=np.inf, where=values > 0))
-        return cls(codes_of(values, floor, _SCALE_STEP), floor if np.isfinite(floor) else 0.0)
+    def of(cls, values: Array, step: float) -> Steps:
+        """Nearest to the values.
+
+        Raises
+        ------
+        ValueError
+            Some are negative, or they differ by more steps than can be packed.
+        """
+        lit = values > 0
+        floor = float(np.min(values, initial=np.inf, where=lit))
+        steps = np.log(np.divide(values, floor, out=np.ones_like(values), where=lit)) / np.log1p(step)
+        if np.any(values < 0) or steps.max(initial=0) > _MOST:
+            raise ValueError("numbers that are negative or differ by too much")
+        codes = np.where(lit, 1 + np.rint(steps), 0).astype(np.int64)
+        return cls(codes, floor if np.isfinite(floor) else 0.0, step)
 
     @classmethod
-    def read(cls, content: Mapping[str, Any], shape: tuple[int, int]) -> Scale:
-        """From a file's content; raises as `Frame.read`."""
-        codes = unpack_smooth(content, "scale", (shape[0], 1, shape[1]))[:, 0]
-        scale = cls(codes, float(content["scale_floor"]))
-        check_codes(scale.codes, scale.floor, _SCALE_STEP)
-        return scale
+    def read(cls, content: Mapping[str, Any], name: str, shape: tuple[int, int], step: float) -> Steps:
+        """What `content` gave under the name.
 
-    def content(self) -> dict[str, Any]:
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            Missing, or damaged.
+        """
+        codes = unpack_smooth(content, name, (shape[0], 1, shape[1]))[:, 0]
+        floor = float(content[f"{name}_floor"])
+        highest = np.log(max(floor, 1e-300)) + codes.max() * np.log1p(step)
+        if not (floor >= 0 and np.all(codes >= 0) and highest < 700):
+            raise ValueError(f"{name}: codes of no positive numbers")
+        return cls(codes, floor, step)
+
+    def content(self, name: str) -> dict[str, Any]:
         """What `read` needs from the file."""
-        return {**pack_smooth("scale", self.codes[:, None]), "scale_floor": self.floor}
+        return {**pack_smooth(name, self.codes[:, None]), f"{name}_floor": self.floor}
 
     @property
     def values(self) -> Array:
-        """Shape (I, C)."""
-        return from_codes(self.codes, self.floor, _SCALE_STEP)
-
-
-def codes_of(values: Array, floor: float, step: float) -> NDArray[np.int64]:
-    """Values in logarithmic steps above the smallest, from 1; 0 where the value is 0."""
-    lit = values > 0
-    steps = np.log(np.divide(values, floor, out=np.ones_like(values), where=lit)) / np.log1p(step)
-    return np.where(lit, 1 + np.rint(steps), 0).astype(np.int64)
-
-
-def check_codes(codes: NDArray[np.int64], floor: float, step: float) -> None:
-    """ValueError where `from_codes` would not return numbers that are finite and not negative."""
-    highest = np.log(max(floor, 1e-300)) + codes.max() * np.log1p(step) if 0 < step < 1 else np.inf
-    if not (floor >= 0 and np.all(codes >= 0) and highest < 700):
-        raise ValueError("codes of no positive numbers")
-
-
-def from_codes(codes: NDArray[np.int64], floor: float, step: float) -> Array:
-    """Values from their codes."""
-    return np.where(codes > 0, floor * np.exp((np.maximum(codes, 1) - 1) * np.log1p(step)), 0.0)
+        """The numbers, shape (I, C)."""
+        steps = np.maximum(self.codes, 1) - 1
+        return np.where(self.codes > 0, self.floor * np.exp(steps * np.log1p(self.step)), 0.0)
 
 
 def pack_smooth(name: str, codes: NDArray[np.int64]) -> dict[str, Any]:
-    """Codes, shape (I, R, C), as differences from channel to channel and along those axes that leave the least."""
-    channels = np.diff(codes, axis=-1, prepend=0)
+    """Codes, shape (I, R, C), as differences along those axes that leave the least."""
     packed = []
     for axes in _ALONG:
-        differences = channels
+        differences = codes
         for axis in axes:
             differences = np.diff(differences, axis=axis, prepend=0)
         packed.append(pack(differences))
@@ -87,6 +96,6 @@ def unpack_smooth(content: Mapping[str, Any], name: str, shape: tuple[int, int, 
     if not 0 <= along < len(_ALONG):
         raise ValueError(f"{name} along {along}")
     codes = unpack(content[name], shape)
-    for axis in (*_ALONG[along], -1):
+    for axis in _ALONG[along]:
         codes = np.cumsum(codes, axis=axis)
     return codes

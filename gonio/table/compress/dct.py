@@ -37,11 +37,11 @@ def encode(table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
 
     def prepare(frame: Frame) -> Callable[[float], Array]:
         coefficients = _forward(frame.normalise(table.values))
-        return lambda step: frame.restore(_backward(np.rint(coefficients / step) * step))
+        return lambda step: frame.values(_backward(np.rint(coefficients / step) * step))
 
     frame, step = hold(table, bounds, prepare, quick)
     quantised = np.rint(_forward(frame.normalise(table.values)) / step).astype(np.int32)
-    return {"step": step, **frame.content(), "coefficients": pack(quantised)}
+    return {**frame.content(step, prepare(frame)(step)), "coefficients": pack(quantised)}
 
 
 def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> Array:
@@ -54,7 +54,8 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> Array:
     """
     shape = shape_of(fields)
     frame, step = Frame.read(content, fields), step_of(content)
-    return frame.restore(_backward(unpack(content["coefficients"], shape).astype(float) * step))
+    array = _backward(unpack(content["coefficients"], shape).astype(float) * step)
+    return frame.correct(frame.values(array))
 
 
 def _forward(values: Array) -> Array:

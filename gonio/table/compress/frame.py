@@ -4,10 +4,8 @@ The values are weighted so that the plain L2 norm of a row is its error measure,
 row is allowed. An error made anywhere in that array then costs the same, and one number, a step of
 quantisation or a pointwise bound, serves all of it.
 
-Setting negative values to 0 brightens what is dark and noisy, and cosine weighting lets that pass near the
-horizon: a bright rim around a rendered sphere. So the mean of every ring of cells (theta_i, theta_r), known
-better than its cells, is stored in fine logarithmic steps, and restored; not of a table with negative values,
-colours outside the gamut. Last, each row is scaled to re-integrate to its albedo.
+What comes back is corrected: values are not negative and have the means of their rings (`rings`), but for tables with
+negative ones, colours outside the gamut. Last, each row is scaled to re-integrate to its albedo.
 """
 
 from __future__ import annotations
@@ -21,14 +19,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gonio.core.directions import projected_solid_angles
-from gonio.table.compress.codes import Scale, check_codes, codes_of, from_codes, pack_smooth, unpack_smooth
+from gonio.table.compress.codes import Steps
 from gonio.table.compress.metric import cosine_weights, excess, reference_norms
+from gonio.table.compress.rings import Rings
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
 
-_RING_STEP = 0.01  # relative, of the stored means of rings
+_SCALE_STEP = 0.001  # relative; rows that differ at random by that much are as smooth to a transform
 _MAX_VALUES = 2**28  # 2 GiB of float64: what a damaged file may make us allocate at most
 _TRIALS = 8
 _BEYOND = 1.1 ** np.arange(7, 0, -1)
@@ -47,27 +46,25 @@ class Frame:
 
     Parameters
     ----------
-    scale : Scale
+    scale : Steps
+        What each row and channel is divided by, shape (I, C): the error allowed in it.
     theta_r_edges, delta_phi_edges : ndarray
         Of the table.
     target : ndarray, shape (I, C), or None
         Reflectance each row is scaled to; None where cells do not add up to the albedo.
     gaps : ndarray, shape (I, R, P), or None
-    codes, ring_floor, ring_step
-        Means over delta phi of the rings, shape (I, R, C), as they are stored; `codes` is None where values
-        may be negative.
+    rings : Rings or None
+        None where values may be negative.
     base : ndarray, shape (I, R, P, C), or None
         What the array is added to: the part of the values that a model gives.
     """
 
-    scale: Scale
+    scale: Steps
     theta_r_edges: Array
     delta_phi_edges: Array
     target: Array | None
     gaps: NDArray[np.bool_] | None
-    codes: NDArray[np.int64] | None
-    ring_floor: float
-    ring_step: float
+    rings: Rings | None
     base: Array | None = None
 
     @classmethod
@@ -79,22 +76,12 @@ class Frame:
         target = table.row_albedo - table.specular
         # where the albedo is not that of the cells, scaling to it would not restore them
         consistent = bool(np.allclose(total, target, rtol=1e-9, atol=1e-12))
-        codes, floor, step = None, 0.0, min(_RING_STEP, 0.5 * float(bounds.min()))
+        rings = None
         if table.values.min() >= 0:
-            means = _ring_means(table.values, table.projected_solid_angles)
-            floor = float(np.min(means, initial=np.inf, where=means > 0))
-            codes, floor = codes_of(means, floor, step), floor if np.isfinite(floor) else 0.0
-        return cls(
-            Scale.of(scale),
-            table.theta_r_edges,
-            table.delta_phi_edges,
-            target if consistent else None,
-            table.gaps,
-            codes,
-            floor,
-            step,
-            base,
-        )
+            rings = Rings.of(_ring_means(table.values, table.projected_solid_angles), float(bounds.min()))
+        edges = table.theta_r_edges, table.delta_phi_edges
+        scaled_to = target if consistent else None
+        return cls(Steps.of(scale, _SCALE_STEP), *edges, scaled_to, table.gaps, rings, base)
 
     @classmethod
     def read(cls, content: Mapping[str, Any], fields: Mapping[str, Any], base: Array | None = None) -> Frame:
@@ -105,30 +92,22 @@ class Frame:
         KeyError, TypeError, ValueError, OSError, EOFError
             Content that is missing, damaged, or does not fit the axes.
         """
-        rows, rings, _, channels = shape_of(fields)
-        scale = Scale.read(content, (rows, channels))
-        codes, floor, step = None, 0.0, 0.0
-        if "rings" in content:
-            codes = unpack_smooth(content, "rings", (rows, rings, channels))
-            floor, step = float(content["ring_floor"]), float(content["ring_step"])
-            check_codes(codes, floor, step)
+        rows, per_row, _, channels = shape_of(fields)
+        scale = Steps.read(content, "scale", (rows, channels), _SCALE_STEP)
+        rings = Rings.read(content, (rows, per_row, channels)) if "rings" in content else None
         target = None
         if bool(content["rescaled"]):
             target = np.asarray(fields["row_albedo"], float) - fields.get("specular", 0.0)
             if target.shape != (rows, channels):
                 raise ValueError(f"albedo of shape {target.shape} for {(rows, channels)}")
         edges = fields["theta_r_edges"], fields["delta_phi_edges"]
-        return cls(scale, *edges, target, fields.get("gaps"), codes, floor, step, base)
+        return cls(scale, *edges, target, fields.get("gaps"), rings, base)
 
-    def content(self) -> dict[str, Any]:
-        """What `read` needs from the file."""
-        content: dict[str, Any] = {
-            **self.scale.content(),
-            "rescaled": self.target is not None,
-        }
-        if self.codes is not None:
-            content.update(pack_smooth("rings", self.codes))
-            content.update(ring_floor=self.ring_floor, ring_step=self.ring_step)
+    def content(self, step: float, values: Array) -> dict[str, Any]:
+        """What the file needs of the step, and for `read` to correct these values as `correct` does."""
+        content = {"step": step, **self.scale.content("scale"), "rescaled": self.target is not None}
+        if self.rings is not None:
+            content |= self.rings.content(_ring_means(self._plausible(values), self._areas))
         return content
 
     def normalise(self, values: Array) -> Array:
@@ -147,35 +126,44 @@ class Frame:
         width = len(less) * _SMOOTH
         least = ndimage.minimum_filter1d(less.min(axis=1), 2 * round(width) + 1, mode="nearest")
         smooth = ndimage.gaussian_filter1d(least, width, mode="nearest")
-        return replace(self, scale=Scale.of(self.scale.values * np.exp(smooth)[:, None]))
+        return replace(self, scale=Steps.of(self.scale.values * np.exp(smooth)[:, None], _SCALE_STEP))
 
-    def restore(self, array: Array) -> Array:
-        """Back to values: not negative, 0 in gaps, with the means of their rings, adding up to the albedo.
-
-        Values are not negative, so setting negative ones to 0 can only bring them closer to the original.
-        """
+    def values(self, array: Array) -> Array:
+        """The inverse of `normalise`."""
         values = array / self._weights[:, :, None] * self.scale.values[:, None, None]
-        return self.correct(values if self.base is None else values + self.base)
+        return values if self.base is None else values + self.base
 
     def correct(self, values: Array) -> Array:
-        """The last steps of `restore`, for values from elsewhere."""
-        areas = projected_solid_angles(self.theta_r_edges, self.delta_phi_edges)
-        if self.codes is not None:
-            values = np.maximum(values, 0.0)
-            rings = from_codes(self.codes, self.ring_floor, self.ring_step)
-            means = _ring_means(values, areas)
+        """Values that are not negative, 0 in gaps, with the means of their rings, adding up to the albedo."""
+        values = self._plausible(values)
+        if self.rings is not None:
+            means = _ring_means(values, self._areas)
+            rings = self.rings.restore(means)
             values *= np.divide(rings, means, out=np.ones_like(means), where=means > 0)[:, :, None, :]
             values += np.where((means == 0) & (rings > 0), rings, 0.0)[:, :, None, :]
-        if self.gaps is not None:
-            values[np.asarray(self.gaps, bool)] = 0.0
+            self._close_gaps(values)
         if self.target is not None:
             # of values of both signs the sum may nearly cancel: what is missing goes by their sizes
             sizes = np.abs(values)
-            short = self.target - np.einsum("irpc,rp->ic", values, areas)
-            size = np.einsum("irpc,rp->ic", sizes, areas)
+            short = self.target - np.einsum("irpc,rp->ic", values, self._areas)
+            size = np.einsum("irpc,rp->ic", sizes, self._areas)
             sizes *= np.divide(short, size, out=np.zeros_like(size), where=size > 0)[:, None, None]
             values += sizes
         return values
+
+    def _plausible(self, values: Array) -> Array:
+        """A copy without negative values, which can only bring it closer to a table that has none, and 0 in gaps."""
+        values = values.copy() if self.rings is None else np.maximum(values, 0.0)
+        self._close_gaps(values)
+        return values
+
+    def _close_gaps(self, values: Array) -> None:
+        if self.gaps is not None:
+            values[np.asarray(self.gaps, bool)] = 0.0
+
+    @property
+    def _areas(self) -> Array:
+        return projected_solid_angles(self.theta_r_edges, self.delta_phi_edges)
 
     @property
     def _weights(self) -> Array:
@@ -196,7 +184,7 @@ def hold(
     bounds : ndarray, shape (I, C)
         Relative error allowed in each row and channel.
     prepare : callable
-        From a frame to a function from a step to the values the decoder will return.
+        From a frame to a function from a step to the values that the decoder will correct.
     quick : bool
         Look for the step to 20 % only, enough to compare methods by.
     base : ndarray, optional
@@ -216,7 +204,7 @@ def hold(
     decoded = prepare(frame)
 
     def worst(step: float) -> float:
-        return float(excess(table, decoded(step), bounds).max())
+        return float(excess(table, frame.correct(decoded(step)), bounds).max())
 
     if quick:
         return frame, _largest(worst, 0.1, 1.2)
@@ -235,13 +223,13 @@ def suit_most(
     decoded = prepare(frame)
 
     def most(step: float) -> float:
-        return float(np.quantile(excess(table, decoded(step), bounds), _MOST))
+        return float(np.quantile(excess(table, frame.correct(decoded(step)), bounds), _MOST))
 
     if most(step) > _NEEDED:
         return None
     suited = _largest(most, step, 1.1)
     for _ in range(_ROUNDS):
-        errors = excess(table, prepare(frame)(suited), bounds)
+        errors = excess(table, frame.correct(prepare(frame)(suited)), bounds)
         if errors.max() <= 1.0:
             return frame, suited
         frame = frame.finer(errors)

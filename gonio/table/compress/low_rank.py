@@ -17,6 +17,7 @@ a small error this way.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -58,17 +59,15 @@ def encode(table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
     coefficients = _forward(grid, weights, basis)
 
     def prepare(frame: Frame) -> Callable[[float], Array]:
-        return lambda step: frame.correct(
-            _values(np.rint(coefficients / step) * step, weights, basis, interpolation, shape)
-        )
+        rounded = partial(_values, weights=weights, basis=basis, interpolation=interpolation, shape=shape)
+        return lambda step: rounded(np.rint(coefficients / step) * step)
 
     frame, step = hold(table, bounds, prepare, quick)
     quantised = np.rint(coefficients / step).astype(np.int64)
     used = np.flatnonzero(np.any(quantised, axis=(1, 2, 3)))
     rank = int(used[-1]) + 1 if len(used) else 1
     return {
-        "step": step,
-        **frame.content(),
+        **frame.content(step, prepare(frame)(step)),
         "weights": weights.astype(np.float32),
         "basis": basis[:, :rank].astype(np.float32),
         "coefficients": pack(quantised[:rank]),

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from gonio.core.jit import kernel
+from gonio.formats.hdf5_content import stored_bytes
 from gonio.table.compress.arithmetic import Decoder, Encoder
 from gonio.table.compress.frame import Frame, hold, shape_of, suit_most
 from gonio.table.compress.packing import step_of
@@ -64,20 +65,18 @@ def encode(table: Table, bounds: Array, quick: bool = False, base: Array | None 
 
     def prepare(frame: Frame) -> Callable[[float], Array]:
         coefficients = _transform(frame.normalise(table.values), levels)
-        return lambda step: frame.restore(
-            _assemble(shape, levels, *_choose(levels, coefficients, step), step)
-        )
+        return lambda step: frame.values(_assemble(shape, levels, *_choose(levels, coefficients, step), step))
 
     found = [hold(table, bounds, prepare, quick, base)]
     if not quick and (other := suit_most(table, bounds, prepare, *found[0])) is not None:
         found.append(other)
-    packed = [(frame, step, _pack(table, levels, frame, step)) for frame, step in found]
-    frame, step, smallest = min(packed, key=lambda candidate: candidate[2].size)
-    return {"step": step, **frame.content(), "tree": smallest}
+    packed = [_pack(table, levels, frame, step) for frame, step in found]
+    return min(packed, key=stored_bytes)
 
 
-def _pack(table: Table, levels: list[Level], frame: Frame, step: float) -> NDArray[np.uint8]:
+def _pack(table: Table, levels: list[Level], frame: Frame, step: float) -> dict[str, Any]:
     kept, leaves = _choose(levels, _transform(frame.normalise(table.values), levels), step)
+    decoded = frame.values(_assemble(table.values.shape, levels, kept, leaves, step))
     encoder = Encoder()
     alive = np.ones(levels[0].grid, bool)
     for here, child in zip(kept, levels[1:], strict=False):
@@ -86,7 +85,7 @@ def _pack(table: Table, levels: list[Level], frame: Frame, step: float) -> NDArr
     for level, of_groups in zip(levels, leaves, strict=True):
         for group, numbers in zip(level.groups, of_groups, strict=True):
             encoder.blocks(numbers.reshape(-1, *group.block, table.values.shape[3]))
-    return encoder.bytes()
+    return {**frame.content(step, decoded), "tree": encoder.bytes()}
 
 
 def decode(content: Mapping[str, Any], fields: Mapping[str, Any], base: Array | None = None) -> Array:
@@ -108,7 +107,7 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any], base: Array | 
         for level, here in zip(levels, kept, strict=True)
     ]
     decoder.end()
-    return frame.restore(_assemble(shape, levels, kept, leaves, step))
+    return frame.correct(frame.values(_assemble(shape, levels, kept, leaves, step)))
 
 
 def levels_of(shape: tuple[int, ...]) -> list[Level]:
