@@ -88,12 +88,8 @@ def _fields(table: Table) -> dict[str, Any]:
     record = {name: getattr(table, name) for name in _SHARED if getattr(table, name) is not None}
     for name, step in _STEPS.items():
         numbers = table.row_albedo - table.specular if name == _CELLS else getattr(table, name)
-        if not np.any(numbers):
-            continue
-        try:
+        if np.any(numbers):
             record |= Steps.of(numbers, step).content(name)
-        except ValueError:  # colours outside the gamut
-            record[name] = numbers
     if table.gaps is not None:
         record["gaps"] = pack_flags(table.gaps)
     return record | {name: dict(getattr(table, name)) for name in _FACTS}

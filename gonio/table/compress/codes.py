@@ -1,4 +1,4 @@
-"""Positive numbers of rows and rings as few bytes: in logarithmic steps, differences of neighbours packed."""
+"""Numbers of rows and rings as few bytes: in logarithmic steps, differences of neighbours packed."""
 
 from __future__ import annotations
 
@@ -15,19 +15,18 @@ Array = NDArray[np.float64]
 
 _ALONG: tuple[tuple[int, ...], ...] = ((), (2,), (1, 2), (0, 2), (0, 1, 2), (1, 1, 2))
 """Axes along which differences of codes are taken."""
-_MOST = 2**27  # of codes: their third differences are to be integers of 32 bits
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Numbers that are not negative, shape (I, C), in logarithmic steps above the smallest; 0 stays 0.
+    """Numbers, shape (I, C), in logarithmic steps of their size above the smallest; 0 stays 0.
 
     Parameters
     ----------
     codes : ndarray of int, shape (I, C)
-        Steps from the floor, from 1; 0 of 0.
+        Steps from the floor, from 1, with the number's sign; 0 of 0.
     floor, step : float
-        The smallest number that is not 0, and the relative step.
+        The smallest size that is not 0, and the relative step.
     """
 
     codes: NDArray[np.int64]
@@ -36,20 +35,14 @@ class Steps:
 
     @classmethod
     def of(cls, values: Array, step: float) -> Steps:
-        """Nearest to the values.
-
-        Raises
-        ------
-        ValueError
-            Some are negative, or they differ by more steps than can be packed.
-        """
-        lit = values > 0
-        floor = float(np.min(values, initial=np.inf, where=lit))
-        steps = np.log(np.divide(values, floor, out=np.ones_like(values), where=lit)) / np.log1p(step)
-        if np.any(values < 0) or steps.max(initial=0) > _MOST:
-            raise ValueError("numbers that are negative or differ by too much")
-        codes = np.where(lit, 1 + np.rint(steps), 0).astype(np.int64)
-        return cls(codes, floor if np.isfinite(floor) else 0.0, step)
+        """Nearest to the values; what is less than 1e-50 of the largest, counts as that."""
+        sizes = np.abs(values)
+        lit = sizes > 0
+        floor = float(np.min(sizes, initial=np.inf, where=lit))
+        floor = max(floor, 1e-50 * float(sizes.max())) if lit.any() else 0.0
+        ratio = np.maximum(np.divide(sizes, floor, out=np.ones_like(sizes), where=lit), 1.0)
+        codes = np.sign(values) * (1 + np.rint(np.log(ratio) / np.log1p(step)))
+        return cls(codes.astype(np.int64), floor, step)
 
     @classmethod
     def read(cls, content: Mapping[str, Any], name: str, shape: tuple[int, int], step: float) -> Steps:
@@ -62,9 +55,9 @@ class Steps:
         """
         codes = unpack_smooth(content, name, (shape[0], 1, shape[1]))[:, 0]
         floor = float(content[f"{name}_floor"])
-        highest = np.log(max(floor, 1e-300)) + codes.max() * np.log1p(step)
-        if not (floor >= 0 and np.all(codes >= 0) and highest < 700):
-            raise ValueError(f"{name}: codes of no positive numbers")
+        highest = np.log(max(floor, 1e-300)) + np.abs(codes).max() * np.log1p(step)
+        if not (floor >= 0 and highest < 700):
+            raise ValueError(f"{name}: codes of no numbers")
         return cls(codes, floor, step)
 
     def content(self, name: str) -> dict[str, Any]:
@@ -74,8 +67,8 @@ class Steps:
     @property
     def values(self) -> Array:
         """The numbers, shape (I, C)."""
-        steps = np.maximum(self.codes, 1) - 1
-        return np.where(self.codes > 0, self.floor * np.exp(steps * np.log1p(self.step)), 0.0)
+        sizes = self.floor * np.exp((np.abs(self.codes) - 1) * np.log1p(self.step))
+        return np.sign(self.codes) * sizes
 
 
 def pack_smooth(name: str, codes: NDArray[np.int64]) -> dict[str, Any]:
