@@ -137,7 +137,8 @@ def _table(record: Content, prefix: str, group: h5py.Group, path: Path) -> Table
             edges = [_array(own.get(f"peak/{name}"), name) for name in _EDGES]
             if edges[0].size * edges[1].size > _MOST_CELLS:
                 raise InputError(f"peak: {edges[0].size} x {edges[1].size} cells; compress the table again")
-            fields["peak"] = Peak(decode_peak(content, slope_areas(*edges)), *edges)
+            shape = len(fields["theta_i"]), len(fields["channels"])
+            fields["peak"] = Peak(decode_peak(content, slope_areas(*edges), shape), *edges)
     fields["parts"] = {name: _table(record, f"{prefix}{name}/", group, path) for name in names}
     with at(prefix):
         return Table(**fields)

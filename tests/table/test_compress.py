@@ -206,7 +206,7 @@ def test_what_nearly_cancels_is_not_scaled(tmp_path):
     table = table.replace(
         values=values, row_albedo=np.einsum("irpc,rp->ic", values, table.projected_solid_angles)
     )
-    frame = Frame.of(table, row_bounds(table, 0.01))
+    frame = Frame.of_table(table, row_bounds(table, 0.01))
     rng = np.random.default_rng(seed_from("cancels"))
     near = values * (1 + 0.003 * rng.standard_normal(values.shape))
     corrected = frame.correct(near.copy())

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from gonio.formats.hdf5_content import stored_bytes
 from gonio.table.compress import row_bounds, tree
-from gonio.table.compress.frame import Frame, hold, suit_most
+from gonio.table.compress.frame import Frame
 from gonio.table.compress.metric import excess
+from gonio.table.compress.search import hold, suit_most
 from tests.table.tables import asymmetric, ggx, grid, lambert, make
 
 pytestmark = pytest.mark.compiled
@@ -51,9 +54,13 @@ def test_decodes_what_it_encoded(shape):
 
 def test_a_step_that_holds_beyond_one_that_does_not_is_found():
     table = make(lambert, grid(6, 10, 12))
-    bounds = row_bounds(table, 0.01)
-    assert 0.24 < hold(table, bounds, lambda frame: between(table))[1] < 0.27
-    assert hold(table, bounds, lambda frame: between(table), quick=True)[1] < 0.2
+    task = task_of(table, row_bounds(table, 0.01))
+    assert 0.24 < hold(*task, lambda frame: between(table)) < 0.27
+    assert hold(*task, lambda frame: between(table), quick=True) < 0.2
+
+
+def task_of(table, bounds):
+    return Frame.of_table(table, bounds), partial(excess, table, bounds=bounds)
 
 
 def between(table):
@@ -71,16 +78,16 @@ def test_rows_that_ask_for_more_are_stored_more_finely():
     """Of errors that one row in the middle has three times those of the others."""
     table = make(lambert, grid(60, 10, 12))
     bounds = row_bounds(table, 0.01)
-    before = Frame.of(table, bounds)
+    before, over = task_of(table, bounds)
     rough = np.where(np.arange(60) == 30, 3.0, 1.0)[:, None, None, None]
 
     def prepare(frame):
         coarse = (frame.scale.values / before.scale.values)[:, None, None]
         return lambda step: table.values * (1 + 0.01 * rough * coarse * step * UP_AND_DOWN)
 
-    frame, step = hold(table, bounds, prepare)
+    step = hold(before, over, prepare)
     assert step == pytest.approx(1 / 3, rel=0.1)
-    found = suit_most(table, bounds, prepare, frame, step)
+    found = suit_most(before, over, prepare, step)
     assert found is not None
     assert found[1] == pytest.approx(1.0, rel=0.15)
     assert excess(table, prepare(found[0])(found[1]), bounds).max() <= 1.0
@@ -96,5 +103,5 @@ def test_the_smaller_of_both_is_taken(monkeypatch):
     monkeypatch.setattr(tree, "suit_most", lambda *_: None)
     one = stored_bytes(tree.encode(table, bounds))
     assert both <= one
-    monkeypatch.setattr(tree, "suit_most", lambda table, bounds, prepare, frame, step: (frame, step / 9))
+    monkeypatch.setattr(tree, "suit_most", lambda frame, over, prepare, step: (frame, step / 9))
     assert stored_bytes(tree.encode(table, bounds)) == one

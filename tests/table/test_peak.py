@@ -303,7 +303,7 @@ def test_compressed_file_keeps_the_peak(glossy, tmp_path):
 def test_compressed_peak_is_small_and_held_to_the_bound(metal):
     bounds = np.full((len(metal.theta_i), 1), 0.01)
     content = highlight.encode(metal.peak, bounds)
-    decoded = highlight.decode(content, metal.peak.areas)
+    decoded = highlight.decode(content, metal.peak.areas, bounds.shape)
     assert 0.003 < highlight.errors(metal.peak, decoded).max() <= 0.01
     assert stored_bytes(content) < 4 * metal.peak.values.size / 10
 
@@ -370,4 +370,4 @@ def test_compressed_peak_of_negative_colours(metal, tmp_path):
         rtol=0.02,
     )
     inside = replace(outside.peak, values=np.abs(outside.peak.values))
-    assert highlight.decode(highlight.encode(inside, bounds), inside.areas).min() >= 0
+    assert highlight.decode(highlight.encode(inside, bounds), inside.areas, bounds.shape).min() >= 0

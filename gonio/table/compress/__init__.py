@@ -11,7 +11,7 @@ the entry points ``gonio.compression``: modules that add their line when they ar
 HDF5 table that holds the content in place of its values (see `gonio.formats.hdf5`): `Table.load` opens it
 like any other. The table's parts are in the same file, each held to the bound as a table of its own.
 Axes, gaps, ledger and provenance are kept in full, albedo and delta term to a millionth; the cells of a highlight's
-own grid are held to the rows' bounds by a transform of their own (`highlight`). Error bars of cells and hits are
+own grid are held to the rows' bounds on their own (`highlight`). Error bars of cells and hits are
 dropped; what is known of the error stands in ``provenance["compression"]``.
 """
 
@@ -283,10 +283,12 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> NDArray[np.
         return known[method].decode(content, fields)
 
 
-def decode_peak(content: Mapping[str, Any], areas: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values of a highlight's own cells from a compressed file's content, as `decode`; `areas` as `Peak.areas`."""
+def decode_peak(
+    content: Mapping[str, Any], areas: NDArray[np.float64], shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Values of a highlight's own cells, of as many rows and channels, as `decode`; `areas` as `Peak.areas`."""
     with _undamaged():
-        return highlight.decode(content, areas)
+        return highlight.decode(content, areas, shape)
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import hdf5plugin
@@ -21,8 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.formats.hdf5_content import Filtered
-from gonio.table.compress.frame import Frame, hold, shape_of
+from gonio.table.compress.frame import Frame, shape_of
+from gonio.table.compress.metric import excess
 from gonio.table.compress.packing import step_of
+from gonio.table.compress.search import hold
 from gonio.table.table import Table
 
 Array = NDArray[np.float64]
@@ -52,7 +55,8 @@ class Codec:
             array = np.moveaxis(frame.normalise(table.values), -1, 0)
             return lambda step: frame.values(self._values(self._returned(array, step), step))
 
-        frame, step = hold(table, bounds, prepare, quick)
+        frame = Frame.of_table(table, bounds)
+        step = hold(frame, partial(excess, table, bounds=bounds), prepare, quick)
         array = np.moveaxis(frame.normalise(table.values), -1, 0)
         return {**frame.content(step, prepare(frame)(step)), "array": self._filtered(array, step)}
 
@@ -62,7 +66,7 @@ class Codec:
         array = np.asarray(content["array"], float)
         if array.shape != (shape[3], *shape[:3]) or not np.all(np.isfinite(array)):
             raise ValueError(f"an array of shape {array.shape}, or not finite, for values of {shape}")
-        frame = Frame.read(content, fields)
+        frame = Frame.read_table(content, fields)
         return frame.correct(frame.values(self._values(array, step_of(content))))
 
     def _filtered(self, array: Array, step: float) -> Filtered:

@@ -11,14 +11,17 @@ coefficients.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from gonio.table.compress.frame import Frame, hold, shape_of
+from gonio.table.compress.frame import Frame, shape_of
+from gonio.table.compress.metric import excess
 from gonio.table.compress.packing import pack, step_of, unpack
+from gonio.table.compress.search import hold
 from gonio.table.table import Table
 
 Array = NDArray[np.float64]
@@ -27,7 +30,7 @@ Array = NDArray[np.float64]
 def encode(table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
     """Compress the values so that each row and channel's error is at most `bounds`, shape (I, C).
 
-    `quick` is that of `gonio.table.compress.frame.hold`.
+    `quick` is that of `gonio.table.compress.search.hold`.
 
     Raises
     ------
@@ -39,7 +42,8 @@ def encode(table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
         coefficients = _forward(frame.normalise(table.values))
         return lambda step: frame.values(_backward(np.rint(coefficients / step) * step))
 
-    frame, step = hold(table, bounds, prepare, quick)
+    frame = Frame.of_table(table, bounds)
+    step = hold(frame, partial(excess, table, bounds=bounds), prepare, quick)
     quantised = np.rint(_forward(frame.normalise(table.values)) / step).astype(np.int32)
     return {**frame.content(step, prepare(frame)(step)), "coefficients": pack(quantised)}
 
@@ -53,7 +57,7 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> Array:
         Content that is missing, damaged, or does not fit the axes.
     """
     shape = shape_of(fields)
-    frame, step = Frame.read(content, fields), step_of(content)
+    frame, step = Frame.read_table(content, fields), step_of(content)
     array = _backward(unpack(content["coefficients"], shape).astype(float) * step)
     return frame.correct(frame.values(array))
 

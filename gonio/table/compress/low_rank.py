@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, sparse
 
 from gonio.core.directions import half_difference
-from gonio.table.compress.frame import Frame, hold, shape_of
-from gonio.table.compress.metric import cosine_weights, excess
+from gonio.table.compress.frame import Frame, shape_of
+from gonio.table.compress.metric import excess
 from gonio.table.compress.packing import pack, step_of, unpack
+from gonio.table.compress.search import hold
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -44,11 +45,11 @@ def encode(table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
     shape = table.values.shape
     sizes = grid_sizes(shape)
     interpolation = _interpolation(fields, sizes)
-    first = Frame.of(table, bounds)
-    importance = _importance(first, shape)
+    frame = Frame.of_table(table, bounds)
+    importance = _importance(frame, shape)
     grid, weights = _fit(table, interpolation, importance, sizes)
     # a grid coarser than the table may not hold the bounds at any step: looking for one takes long
-    unrounded = first.correct((interpolation @ grid.reshape(-1, shape[3])).reshape(shape))
+    unrounded = frame.correct((interpolation @ grid.reshape(-1, shape[3])).reshape(shape))
     if excess(table, unrounded, bounds).max() > 1:
         raise InputError("max_error: no step of quantisation holds it; the grid of the factors is too coarse")
     # components of what the error sees
@@ -62,7 +63,7 @@ def encode(table: Table, bounds: Array, quick: bool = False) -> dict[str, Any]:
         rounded = partial(_values, weights=weights, basis=basis, interpolation=interpolation, shape=shape)
         return lambda step: rounded(np.rint(coefficients / step) * step)
 
-    frame, step = hold(table, bounds, prepare, quick)
+    step = hold(frame, partial(excess, table, bounds=bounds), prepare, quick)
     quantised = np.rint(coefficients / step).astype(np.int64)
     used = np.flatnonzero(np.any(quantised, axis=(1, 2, 3)))
     rank = int(used[-1]) + 1 if len(used) else 1
@@ -78,7 +79,7 @@ def decode(content: Mapping[str, Any], fields: Mapping[str, Any]) -> Array:
     """As `gonio.table.compress.dct.decode`."""
     shape = shape_of(fields)
     sizes = grid_sizes(shape)
-    frame, step = Frame.read(content, fields), step_of(content)
+    frame, step = Frame.read_table(content, fields), step_of(content)
     weights, basis = np.asarray(content["weights"], float), np.asarray(content["basis"], float)
     if weights.shape != sizes[:1] or basis.ndim != 2 or not basis.shape[0] == sizes[0] >= basis.shape[1] >= 1:
         raise ValueError(f"weights and basis of shape {weights.shape}, {basis.shape} for a grid of {sizes}")
@@ -129,10 +130,9 @@ def _middle(edges: Array) -> Array:
 
 def _importance(frame: Frame, shape: tuple[int, ...]) -> Array:
     """What an error in a cell counts, (I R P, C); nothing in gaps and in dark rows."""
-    weights = cosine_weights(frame.theta_r_edges, frame.delta_phi_edges)
     scale = frame.scale.values
     inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
-    importance = np.broadcast_to(weights[None, :, :, None] * inverse[:, None, None], shape).copy()
+    importance = np.broadcast_to(frame.weights[None, :, :, None] * inverse[:, None, None], shape).copy()
     if frame.gaps is not None:
         importance[frame.gaps] = 0.0
     return importance.reshape(-1, shape[3]).astype(np.float32)

@@ -16,6 +16,7 @@ orthonormal, the error of the coefficients that of the values.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -26,8 +27,10 @@ from scipy import fft
 from gonio.core.jit import kernel
 from gonio.formats.hdf5_content import stored_bytes
 from gonio.table.compress.arithmetic import Decoder, Encoder
-from gonio.table.compress.frame import Frame, hold, shape_of, suit_most
+from gonio.table.compress.frame import Frame, shape_of
+from gonio.table.compress.metric import excess
 from gonio.table.compress.packing import step_of
+from gonio.table.compress.search import Excess, hold, suit_most
 from gonio.table.table import Table
 
 Array = NDArray[np.float64]
@@ -60,23 +63,29 @@ class Level(NamedTuple):
 
 def encode(table: Table, bounds: Array, quick: bool = False, base: Array | None = None) -> dict[str, Any]:
     """As `gonio.table.compress.dct.encode`; of the values less `base`, where it is given."""
-    shape = table.values.shape
+    frame = Frame.of_table(table, bounds, base)
+    return encode_values(frame, table.values, partial(excess, table, bounds=bounds), quick)
+
+
+def encode_values(frame: Frame, values: Array, over: Excess, quick: bool = False) -> dict[str, Any]:
+    """Compress values in a frame, with errors over what is allowed as `search.hold` wants them."""
+    shape = values.shape
     levels = levels_of(shape)
 
     def prepare(frame: Frame) -> Callable[[float], Array]:
-        coefficients = _transform(frame.normalise(table.values), levels)
+        coefficients = _transform(frame.normalise(values), levels)
         return lambda step: frame.values(_assemble(shape, levels, *_choose(levels, coefficients, step), step))
 
-    found = [hold(table, bounds, prepare, quick, base)]
-    if not quick and (other := suit_most(table, bounds, prepare, *found[0])) is not None:
-        found.append(other)
-    packed = [_pack(table, levels, frame, step) for frame, step in found]
+    step = hold(frame, over, prepare, quick)
+    packed = [_pack(values, levels, frame, step)]
+    if not quick and (other := suit_most(frame, over, prepare, step)) is not None:
+        packed.append(_pack(values, levels, *other))
     return min(packed, key=stored_bytes)
 
 
-def _pack(table: Table, levels: list[Level], frame: Frame, step: float) -> dict[str, Any]:
-    kept, leaves = _choose(levels, _transform(frame.normalise(table.values), levels), step)
-    decoded = frame.values(_assemble(table.values.shape, levels, kept, leaves, step))
+def _pack(values: Array, levels: list[Level], frame: Frame, step: float) -> dict[str, Any]:
+    kept, leaves = _choose(levels, _transform(frame.normalise(values), levels), step)
+    decoded = frame.values(_assemble(values.shape, levels, kept, leaves, step))
     encoder = Encoder()
     alive = np.ones(levels[0].grid, bool)
     for here, child in zip(kept, levels[1:], strict=False):
@@ -84,14 +93,18 @@ def _pack(table: Table, levels: list[Level], frame: Frame, step: float) -> dict[
         alive = _children(alive & ~here, child.grid)
     for level, of_groups in zip(levels, leaves, strict=True):
         for group, numbers in zip(level.groups, of_groups, strict=True):
-            encoder.blocks(numbers.reshape(-1, *group.block, table.values.shape[3]))
+            encoder.blocks(numbers.reshape(-1, *group.block, values.shape[3]))
     return {**frame.content(step, decoded), "tree": encoder.bytes()}
 
 
 def decode(content: Mapping[str, Any], fields: Mapping[str, Any], base: Array | None = None) -> Array:
     """As `gonio.table.compress.dct.decode`; `base` as in `encode`."""
-    shape = shape_of(fields)
-    frame, step = Frame.read(content, fields, base), step_of(content)
+    return decode_values(content, Frame.read_table(content, fields, base), shape_of(fields))
+
+
+def decode_values(content: Mapping[str, Any], frame: Frame, shape: tuple[int, int, int, int]) -> Array:
+    """The inverse of `encode_values`; raises as `gonio.table.compress.dct.decode`."""
+    step = step_of(content)
     levels = levels_of(shape)
     decoder = Decoder(content["tree"])
     kept = []
