@@ -62,6 +62,15 @@ def test_means_that_come_back_by_themselves_take_nothing():
     assert Rings.of(wanted, 0.01).content(wanted * 1.006)["rings"].size == 0
 
 
+def test_means_that_are_hardly_there():
+    """1e-50 of the largest is the least, and no number is beyond what a reader accepts."""
+    wanted = np.array([[[1e-300], [1e-20], [0.0], [2.0]]])
+    for decoded in (np.zeros(wanted.shape), wanted[:, ::-1]):
+        content = Rings.of(wanted, 1e-6).content(decoded)
+        found = Rings.read(content, wanted.shape).restore(decoded)
+        np.testing.assert_allclose(found[0, :, 0], [2e-50, 1e-20, 0.0, 2.0], rtol=1e-6)
+
+
 def test_last_digits_of_what_is_decoded_change_last_digits_only():
     """Another machine's transform: a factor that depended on them would jump by a step."""
     wanted, decoded = wanted_and_decoded()

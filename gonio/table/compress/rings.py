@@ -51,9 +51,11 @@ class Rings:
 
     @classmethod
     def of(cls, means: Array, bound: float) -> Rings:
-        """Of a table with these means, whose rows may err by `bound`."""
-        floor = float(np.min(means, initial=np.inf, where=means > 0))
-        return cls(min(_STEP, bound), floor if np.isfinite(floor) else 0.0, means == 0, means)
+        """Of a table with these means, whose rows may err by `bound`; 1e-50 of the largest is the least."""
+        dark = means == 0
+        floor = float(np.min(means, initial=np.inf, where=~dark))
+        floor = 0.0 if dark.all() else max(floor, 1e-50 * float(means.max()))
+        return cls(min(_STEP, bound), floor, dark, np.where(dark, 0.0, np.maximum(means, floor)))
 
     @classmethod
     def read(cls, content: Mapping[str, Any], shape: tuple[int, int, int]) -> Rings:
