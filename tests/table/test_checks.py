@@ -9,6 +9,7 @@ import pytest
 
 from gonio.table.checks import check, map_noise, noise_lines
 from gonio.table.parts import extract
+from gonio.trace.error_bars import cell_errors
 from gonio.validation import seed_from
 from tests.table.tables import asymmetric, ggx, grid, lambert, make, with_parts
 
@@ -82,6 +83,24 @@ def test_error_bars_from_few_batches():
     report = check(poisson(ggx(0.5, 0.9), rng, 2e6, grid(20, 20, 40), batches=8))
     assert report.passed, report.lines()
     assert named(report, "reciprocity of cells").numbers["chi2_per_dof"] == pytest.approx(1, abs=0.12)
+
+
+@pytest.mark.parametrize("paths", [3e4, 1e5, 1e6])
+def test_error_bars_of_few_paths_are_no_asymmetry(paths):
+    """A tracer's error of a cell of one path is that of how many its neighbours expect, less than one."""
+    rng = np.random.default_rng(seed_from(f"few {paths}"))
+    edges = grid(30, 30, 60)
+    table = poisson(ggx(0.5, 0.9), rng, paths, edges)
+    areas, per_row = table.projected_solid_angles, int(paths / 30)
+    error = np.empty_like(table.values)
+    for row, hits in enumerate(table.hits):
+        energy = hits[..., None] / per_row
+        error[row] = cell_errors(energy, energy / per_row, hits, areas, per_row) / areas[..., None]
+    for scale in ("cells", "rings"):
+        found = named(check(table.replace(std_error=error)), f"reciprocity of {scale}")
+        assert found.passed, found.detail
+        dof = found.numbers["dof"]
+        assert found.numbers["chi2_per_dof"] == pytest.approx(1, abs=4 * np.sqrt(2 / dof) + 0.1)
 
 
 @pytest.mark.parametrize("asymmetry", [0.03, -0.03])
