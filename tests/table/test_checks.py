@@ -103,6 +103,16 @@ def test_error_bars_of_few_paths_are_no_asymmetry(paths):
         assert found.numbers["chi2_per_dof"] == pytest.approx(1, abs=4 * np.sqrt(2 / dof) + 0.1)
 
 
+def test_what_is_too_dark_to_compare_is_not_ok():
+    table = make(lambert, grid(20, 20, 30), tint=(0.0,))
+    report = check(table.replace(std_error=np.full_like(table.values, 1e-3)))
+    for scale in ("cells", "rings"):
+        found = named(report, f"reciprocity of {scale}")
+        assert found.passed is None
+        assert found.numbers["dof"] == 0
+        assert "enough paths" in found.detail
+
+
 @pytest.mark.parametrize("asymmetry", [0.03, -0.03])
 def test_three_percent_asymmetry_is_found(asymmetry):
     """20 M paths over 45 rows: 220 hits a cell, 3 % is hidden in each and plain in the rings."""

@@ -83,13 +83,17 @@ def check_reciprocity(table: Table) -> list[Check]:
     level, n_channels = sidak(FALSE_ALARM, len(found)), len(table.channels)
     checks = []
     for name, chi2, expected, dof in found:
-        ratio = chi2 / (expected * dof) if dof else 0.0
+        if dof == 0:
+            detail = f"no pair of {name} holds enough paths to compare"
+            checks.append(Check(f"reciprocity of {name}", None, detail, {"dof": 0}))
+            continue
+        ratio = chi2 / (expected * dof)
         # Channels of one path are correlated, in the worst case copies of each other; and where paths are not
         # counted but estimates shared, so are all cells of a row
         independent = dof / n_channels
         if table.hits is None:
             independent = min(independent, len(table.theta_i))
-        p = float(stats.chi2.sf(ratio * independent, independent)) if dof else 1.0
+        p = float(stats.chi2.sf(ratio * independent, independent))
         failed = p < level and ratio > _CHI2_LIMIT[name]
         checks.append(
             Check(
