@@ -133,6 +133,18 @@ def test_exact_rows_and_tables_without_errors_only_inform():
     assert named(check(skewed), "asymmetry").numbers["relative_rms"] > 0.1
 
 
+def test_gaps_are_no_asymmetry():
+    rows = make(ggx(0.5, 0.9), grid(20, 90, 30), theta_i=np.radians([10.0, 40.0, 70.0]), tint=(0.5,))
+    gaps = np.zeros(rows.values.shape[:3], bool)
+    gaps[1, 60:, :20] = True  # of the pair of 40 and 70 degrees, 20 of 30 sectors one way
+    values = np.where(gaps[..., None], 0.0, rows.values)
+    assert named(check(rows.replace(values=values)), "asymmetry").numbers["relative_rms"] > 0.1
+    found = named(check(rows.replace(values=values, gaps=gaps)), "asymmetry")
+    assert found.numbers["relative_rms"] < 0.01
+    nothing = named(check(rows.replace(values=np.zeros_like(values), gaps=np.ones_like(gaps))), "asymmetry")
+    assert nothing.detail == "no two rows see each other's direction"
+
+
 def test_energy():
     rng = np.random.default_rng(seed_from("energy"))
     table = poisson(ggx(0.5, 0.9), rng, 1e6, grid(20, 20, 30))

@@ -161,7 +161,10 @@ def _compare(
 
 
 def _interpolated_pairs(table: Table) -> tuple[Array, Array, Array]:
-    """Values of each row at the other rows' angles, linear in sin^2 theta_r: (pairs, P, C) both ways."""
+    """Values of each row at the other rows' angles, linear in sin^2 theta_r, and weights: (pairs, P, C) both ways.
+
+    The weight is 0 where either value is in a gap, or beside one.
+    """
     edges = np.sin(table.theta_r_edges) ** 2
     centres = 0.5 * (edges[1:] + edges[:-1])
     u_i = np.sin(table.theta_i) ** 2
@@ -170,13 +173,17 @@ def _interpolated_pairs(table: Table) -> tuple[Array, Array, Array]:
     high = np.minimum(low + 1, len(centres) - 1)
     x = (at - low)[None, :, None, None]
     square = (1 - x) * table.values[:, low] + x * table.values[:, high]  # (I, I, P, C)
+    gaps = np.zeros(table.values.shape[:3], bool) if table.gaps is None else table.gaps
+    known = ~(gaps[:, low] & (x[..., 0] < 1) | gaps[:, high] & (x[..., 0] > 0))
     rows, others = np.triu_indices(len(u_i), 1)
-    weight = np.broadcast_to(np.diff(table.delta_phi_edges)[:, None], square.shape[2:])
-    return square[rows, others], square[others, rows], np.broadcast_to(weight, (len(rows), *weight.shape))
+    weight = (known[rows, others] & known[others, rows]) * np.diff(table.delta_phi_edges)
+    return square[rows, others], square[others, rows], weight[..., None]
 
 
 def _asymmetry(first: Array, second: Array, weight: Array, how: str) -> Check:
     """Size of the difference, whatever the error bars."""
+    if not np.any(weight > 0):
+        return Check("asymmetry", None, "no two rows see each other's direction")
     scale = float(np.sum(weight * (0.5 * (first + second)) ** 2))
     difference = float(np.sum(weight * (first - second) ** 2))
     relative = float(np.sqrt(difference / scale)) if scale > 0 else 0.0
