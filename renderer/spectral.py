@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -66,6 +67,7 @@ def rgb_table(table: Table, name: str) -> Table:
     def mixed(values: Array) -> Array:
         return np.maximum(values @ weights.T, 0.0)
 
+    peak = table.peak
     return table.replace(
         values=mixed(table.values),
         row_albedo=mixed(table.row_albedo),
@@ -75,6 +77,7 @@ def rgb_table(table: Table, name: str) -> Table:
         std_error=None,
         albedo_std_error=np.zeros(()),
         specular_std_error=np.zeros(()),
+        peak=None if peak is None else replace(peak, values=mixed(peak.values), std_error=None),
         parts={},
     )
 
