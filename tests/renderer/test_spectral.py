@@ -66,6 +66,23 @@ def test_a_colour_outside_the_gamut_is_cut_off():
     assert rgb.values[..., 1].min() > 0
 
 
+@pytest.mark.parametrize("channels", [("R", "G", "B"), ("a", "b", "c")])
+def test_a_delta_term_outside_the_gamut_is_cut_off(channels):
+    """A soap film's red at 60 degrees; what else the table reflects stays."""
+    table = lambert_table(0.5)
+    outside = np.array([-0.04, 0.09, 0.2])
+    table = table.replace(
+        specular=np.broadcast_to(outside, table.specular.shape),
+        row_albedo=table.row_albedo + outside,
+        channels=channels,
+    )
+    rgb = rgb_table(table, "")
+    np.testing.assert_array_equal(rgb.specular, np.maximum(table.specular, 0))
+    np.testing.assert_allclose(rgb.row_albedo - rgb.specular, table.row_albedo - table.specular)
+    wi, wo = direction(0.5), direction(0.7, 1.0)
+    np.testing.assert_allclose(rgb.eval(wi, wo), table.eval(wi, wo), rtol=1e-6)
+
+
 def test_a_highlight_of_its_own_is_mixed_like_the_rest():
     grey = tabulated(0.02, np.arange(0, 91, 15), grid_of([0.02], 1.0))
     table = grey.replace(
