@@ -27,8 +27,8 @@ def summary(table: Table, path: Path) -> dict[str, Any]:
     dict
         Albedo, specular, transmittance and their errors are nested [theta_i][channel]; ledger in units of
         incident energy, mean over channels. Under "parts", by name, each part's albedo, its error, specular
-        and "parts" of its own; under "peak" the shape and largest slope of a highlight's own cells. What a
-        table does not know is None.
+        and "parts" of its own; under "peak" the shape and largest slope of a highlight's own cells; under "gaps" the
+        share of the projected solid angle that nobody measured. What a table does not know is None.
     """
     transmission = table.parts.get(TRANSMISSION)
     dark = np.zeros_like(table.row_albedo)
@@ -43,6 +43,9 @@ def summary(table: Table, path: Path) -> dict[str, Any]:
         if table.peak is None
         else {"shape": list(table.peak.values.shape), "slope": table.peak.extent},
         "wavelengths_nm": table.wavelengths_nm,
+        "gaps": 0.0
+        if table.gaps is None
+        else float((table.gaps * table.projected_solid_angles).sum(axis=(1, 2)).mean() / np.pi),
         **_rows(table),
         "transmittance": (dark if transmission is None else transmission.row_albedo).tolist(),
         "transmittance_std_error": (dark if transmission is None else transmission.albedo_std_error).tolist(),
@@ -99,9 +102,12 @@ def _history(table: Table | AnisotropicTable) -> dict[str, Any]:
 
 def _rows(table: Table | AnisotropicTable) -> dict[str, Any]:
     """A table's row quantities, and those of its parts."""
+    error: list = table.albedo_std_error.tolist()
+    if table.std_error is None and not np.any(table.albedo_std_error):
+        error = np.full(table.row_albedo.shape, None).tolist()
     return {
         "albedo": table.row_albedo.tolist(),
-        "albedo_std_error": table.albedo_std_error.tolist(),
+        "albedo_std_error": error,
         "specular": table.specular.tolist(),
         "parts": {name: _rows(part) for name, part in table.parts.items()},
     }
@@ -114,10 +120,11 @@ def summary_text(data: Mapping[str, Any]) -> str:
     theta_i = data["theta_i_deg"]
     rows = np.unique(np.linspace(0, len(theta_i) - 1, 10).round().astype(int)).tolist()
     for name, whole in _with_transmission(data):
-        lines.append(f"theta_i  {name} (+- standard error) [specular] in each channel")
+        known = whole["albedo_std_error"][0][0] is not None
+        lines.append(f"theta_i  {name}{' (+- standard error)' if known else ''} [specular] in each channel")
         for i in rows:
             cells = (
-                f"{a:.5f} +- {e:.1e} [{s:.4f}]"
+                f"{a:.5f} +- {e:.1e} [{s:.4f}]" if known else f"{a:.5f} [{s:.4f}]"
                 for a, e, s in zip(
                     whole["albedo"][i], whole["albedo_std_error"][i], whole["specular"][i], strict=True
                 )
@@ -142,6 +149,10 @@ def _history_lines(data: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"highlight     {' x '.join(map(str, peak['shape']))} cells of its own, half-vector slopes up to "
             f"{peak['slope']:.3g}"
+        )
+    if gaps := data.get("gaps"):
+        lines.append(
+            f"gaps          {100 * gaps:.3g} % of the projected solid angle: the albedo is of the rest"
         )
     if data["estimator"]:
         lines.append(

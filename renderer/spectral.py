@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -59,43 +61,47 @@ def rgb_table(table: Table, name: str) -> Table:
     A colour outside the gamut is cut off at 0: reflectance below 0 cannot be rendered. Error bars are left
     out, as the picture does not use them.
     """
-    weights = rgb_weights(table.channels, table.wavelengths_nm, name)
+    weights = _weights(table, name)
     if weights is None:
         return table
-
-    def mixed(values: Array) -> Array:
-        return np.maximum(values @ weights.T, 0.0)
-
+    peak = table.peak
     return table.replace(
-        values=mixed(table.values),
-        row_albedo=mixed(table.row_albedo),
-        specular=mixed(table.specular),
-        channels=_RGB,
-        wavelengths_nm=None,
-        std_error=None,
-        albedo_std_error=np.zeros(()),
-        specular_std_error=np.zeros(()),
-        parts={},
+        values=_mixed(table.values, weights),
+        **_rows(table, weights),
+        peak=None if peak is None else replace(peak, values=_mixed(peak.values, weights), std_error=None),
     )
 
 
 def rgb_anisotropic(table: AnisotropicTable, name: str) -> AnisotropicTable:
     """As `rgb_table`."""
-    weights = rgb_weights(table.channels, table.wavelengths_nm, name)
+    weights = _weights(table, name)
     if weights is None:
         return table
+    return table.replace(energy=_mixed(table.energy.astype(float), weights), **_rows(table, weights))
 
-    def mixed(values: Array) -> Array:
-        return np.maximum(values @ weights.T, 0.0)
 
-    return table.replace(
-        energy=mixed(table.energy.astype(float)),
-        row_albedo=mixed(table.row_albedo),
-        specular=mixed(table.specular),
-        channels=_RGB,
-        wavelengths_nm=None,
-        std_error=None,
-        albedo_std_error=np.zeros(()),
-        specular_std_error=np.zeros(()),
-        parts={},
-    )
+def _weights(table: Table | AnisotropicTable, name: str) -> Array | None:
+    """As `rgb_weights`; None where nothing is to be cut off either. Evaluation does it for all but the delta term."""
+    weights = rgb_weights(table.channels, table.wavelengths_nm, name)
+    if weights is None and len(table.channels) == 3 and np.any(table.specular < 0):
+        return np.eye(3)
+    return weights
+
+
+def _mixed(values: Array, weights: Array) -> Array:
+    return np.maximum(values @ weights.T, 0.0)
+
+
+def _rows(table: Table | AnisotropicTable, weights: Array) -> dict[str, Any]:
+    """The fields that tables of either kind have in common, in red, green and blue."""
+    specular = _mixed(table.specular, weights)
+    return {
+        "row_albedo": _mixed(table.row_albedo - table.specular, weights) + specular,
+        "specular": specular,
+        "channels": _RGB,
+        "wavelengths_nm": None,
+        "std_error": None,
+        "albedo_std_error": np.zeros(()),
+        "specular_std_error": np.zeros(()),
+        "parts": {},
+    }

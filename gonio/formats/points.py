@@ -1,7 +1,8 @@
 """Tables from loose samples: lists of directions with a value each, as CSV, ASTM E1392 and OpenMATERIAL hold.
 
-Samples that stand on a grid of angles (most of its places taken) keep it: a cell around each. Others are
-averaged in uniform cells. Where the light or the detector stands on the normal an azimuth means nothing:
+Samples that stand on a grid of angles (most of its places taken) keep it: a cell around each. Where one light was
+measured at other theta_r than another, the places that are missing between its own samples are interpolated. Others
+are averaged in uniform cells. Where the light or the detector stands on the normal an azimuth means nothing:
 such a sample holds for all.
 """
 
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 
 _SAME = np.radians(0.02)  # angles closer than this are one
 _SPARSE = 4.0  # places of a grid per sample
+_REACH = np.radians(10.0)  # to samples on either side of a place without one
 
 
 def table_from_points(
@@ -32,7 +34,7 @@ def table_from_points(
     azimuth_reach: float | None = None,
     **fields: Any,
 ) -> Table:
-    """A table of samples; places without one are gaps. Samples of one place are averaged.
+    """A table of samples; places without one, and not between two, are gaps. Samples of one place are averaged.
 
     Parameters
     ----------
@@ -70,6 +72,7 @@ def table_from_points(
         phi_edges, sector_source = cells_around(sectors, np.pi, azimuth_reach)
         on_normal = (rows < _SAME)[:, None] | np.append(rings < _SAME, False)[ring_source]
         ring, sector = _cell_of(ring_source)[ring], _cell_of(sector_source)[sector]
+        reach = _REACH
     else:
         if len(rows) > 90:
             rows, row = _bins(theta_i, np.pi / 2, 90)
@@ -78,6 +81,7 @@ def table_from_points(
         ring = np.minimum((theta_r / (np.pi / 2) * n).astype(int), n - 1)
         sector = np.minimum((delta_phi / np.pi * n).astype(int), n - 1)
         on_normal = np.zeros((len(rows), n), bool)
+        reach = 0.0
     shape = (len(rows), len(edges) - 1, len(phi_edges) - 1)
     n_channels = values.shape[1]
     check_size(path, float(np.prod(shape)) * n_channels, "angles")
@@ -90,17 +94,23 @@ def table_from_points(
         return sums
 
     count = total(np.ones(len(place)))[..., None]
-    gaps = count[..., 0] == 0
+    below, above, part = _between(count[..., 0] > 0, edges, reach)
+    gaps = (count[..., 0] == 0) & (below == above)
+
+    def between(numbers: Array) -> Array:
+        """Cells of shape (I, R, P, C), with those interpolated that are between others."""
+        low, high = (np.take_along_axis(numbers, n[..., None], 1) for n in (below, above))
+        return low + part[..., None] * (high - low)
 
     def mean(numbers: Array) -> Array:
         return np.stack([total(column) for column in numbers.T], axis=-1) / np.maximum(count, 1)
 
     if std_error is not None:
         # of means of as many samples as fell into the cell, taken as independent; unknown where there is none
-        error = np.sqrt(mean(std_error**2) / np.maximum(count, 1))
+        error = between(np.sqrt(mean(std_error**2) / np.maximum(count, 1)))
         error[gaps] = np.inf
         fields["std_error"] = error
-    cells = mean(values)
+    cells = between(mean(values))
     if on_normal.any() and gaps[on_normal.any(axis=1), 1].any():
         # The normal's cell, known at every azimuth, beside cells that are not: as in `cells_around`
         edges, twice = _second_ring_split(edges)
@@ -108,6 +118,25 @@ def table_from_points(
         if std_error is not None:
             fields["std_error"] = fields["std_error"][:, twice]
     return table_of(cells, gaps, rows, edges, phi_edges, channels, **fields)
+
+
+def _between(
+    known: NDArray[np.bool_], edges: Array, reach: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Rings below and above each cell that are known, and how far the cell is from one to the other in sin^2 theta_r.
+
+    Shape (I, R, P), like `known`. Where the cell is known, or either is farther than `reach`, both are the cell itself.
+    """
+    rings = np.broadcast_to(np.arange(known.shape[1])[:, None], known.shape)
+    below = np.maximum.accumulate(np.where(known, rings, -1), axis=1)
+    above = np.minimum.accumulate(np.where(known, rings, known.shape[1])[:, ::-1], axis=1)[:, ::-1]
+    inside = ~known & (below >= 0) & (above < known.shape[1])
+    below, above = np.where(inside, below, rings), np.where(inside, above, rings)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    near = np.maximum(middle[rings] - middle[below], middle[above] - middle[rings]) <= reach
+    below, above = np.where(near, below, rings), np.where(near, above, rings)
+    u = np.sin(middle) ** 2
+    return below, above, (u[rings] - u[below]) / np.where(above > below, u[above] - u[below], 1.0)
 
 
 def _second_ring_split(edges: Array) -> tuple[Array, NDArray[np.int64]]:

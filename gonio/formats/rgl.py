@@ -17,6 +17,7 @@ are those of the table with light and detector exchanged; under light from every
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -119,14 +120,14 @@ def write(table: Table, path: Path) -> list[str]:
     """
     if table.wavelengths_nm is None:
         check_colour(table, path, "an RGL file without wavelengths")
+    ordered = table
     if table.wavelengths_nm is not None and not np.all(np.diff(table.wavelengths_nm) > 0):
-        order = np.argsort(table.wavelengths_nm)
-        table = _select(table, order)
+        ordered = _select(table, np.argsort(table.wavelengths_nm))
     if not np.any(table.row_albedo - table.specular > 0):
         raise InputError(
             f"{path}: the table reflects nothing but its delta term; an RGL file cannot hold that"
         )
-    fields = tensors_of(table)
+    fields = tensors_of(ordered)
     write_tensors(path, fields)
     losses = common_losses(table, "RGL", keeps=("wavelengths",))
     if len(table.channels) == 1 and table.wavelengths_nm is None:
@@ -136,21 +137,20 @@ def write(table: Table, path: Path) -> list[str]:
 
 
 def _select(table: Table, order: NDArray[np.int64]) -> Table:
-    """The table with its channels in another order."""
+    """The table with its channels in another order, without its parts."""
     assert table.wavelengths_nm is not None
-    return Table(
+    peak = table.peak
+    return table.replace(
         values=table.values[..., order],
-        theta_i=table.theta_i,
-        theta_i_edges=table.theta_i_edges,
-        theta_r_edges=table.theta_r_edges,
-        delta_phi_edges=table.delta_phi_edges,
         channels=tuple(table.channels[n] for n in order),
-        row_albedo=table.row_albedo[:, order],
-        specular=table.specular[:, order],
         wavelengths_nm=tuple(table.wavelengths_nm[n] for n in order),
+        row_albedo=table.row_albedo[:, order],
+        albedo_std_error=table.albedo_std_error[:, order],
+        specular=table.specular[:, order],
+        specular_std_error=table.specular_std_error[:, order],
         std_error=None if table.std_error is None else table.std_error[..., order],
-        gaps=table.gaps,
-        provenance=table.provenance,
+        peak=None if peak is None else replace(peak, values=peak.values[..., order], std_error=None),
+        parts={},
     )
 
 

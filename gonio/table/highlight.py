@@ -126,7 +126,8 @@ def bends_between(nodes: Array, u: Array, psi: Array, rows: Array, peak: Peak) -
     Returns
     -------
     ndarray, shape (I - 1, 2, C)
-        p and q of w (1 - w) (p + q w), at the fraction w from a row to the next.
+        p and q of x (1 - x) (p + q x), x the fraction w from a row to the next. To grazing incidence x is that in
+        cos theta_i, 1 - sqrt(1 - w): there the energy is smooth in the cosine, not in v.
     """
 
     def energy(v: float, q: Array) -> Array:
@@ -135,10 +136,11 @@ def bends_between(nodes: Array, u: Array, psi: Array, rows: Array, peak: Peak) -
     ends = np.stack([energy(v, q) for v, q in zip(rows, nodes, strict=True)])
     bends = np.empty((len(rows) - 1, 2, nodes.shape[3]))
     for a in range(len(bends)):
+        thirds = np.array([1.0 / 3.0, 2.0 / 3.0])
         third, two_thirds = (
             energy((1.0 - w) * rows[a] + w * rows[a + 1], (1.0 - w) * nodes[a] + w * nodes[a + 1])
             - ((1.0 - w) * ends[a] + w * ends[a + 1])
-            for w in (1.0 / 3.0, 2.0 / 3.0)
+            for w in (thirds if rows[a + 1] < 1.0 else 1.0 - (1.0 - thirds) ** 2)
         )
         slope = 13.5 * (two_thirds - third)
         bends[a] = 4.5 * third - slope / 3.0, slope

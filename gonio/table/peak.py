@@ -193,7 +193,7 @@ def visible_points(
     psi, around_weight = gauss(psi_edges, around)
     lean = np.tan(theta_i) * np.cos(psi)
     root = np.sqrt(lean**2 + 1.0)
-    horizon = np.where(lean > 0, lean + root, 1.0 / (root - lean))
+    horizon = np.where(lean > 0, lean + root, 1.0 / (root + np.abs(lean)))
     square = np.minimum(slope_edges[:, None, None], horizon) ** 2
     x, weight = np.polynomial.legendre.leggauss(along)
     low, width = square[:-1, None], np.diff(square, axis=0)[:, None]

@@ -53,7 +53,7 @@ class Pool(NamedTuple):
         (row, u, 2): fbar integrated over phi, and the cumulative integral of that over u.
     bends : ndarray of float64
         Of a peak, (row, 2, C): between this row and the next its albedo is a straight line and
-        w (1 - w) (p + q w), at the fraction w in sin^2 theta_i; p and q.
+        x (1 - x) (p + q x); p and q, and what x is, as `gonio.table.highlight.bends_between`.
     extent : ndarray of float64, shape (tables and peaks,)
         Of a peak, its largest slope.
     alpha : ndarray of float64, shape (tables and peaks,)
@@ -209,18 +209,26 @@ def _row_nodes(table: Table) -> tuple[NDArray, list[int], list[bool]]:
 
     A row that is a cell of incidence stands at the middle of its interval of sin^2 theta_i: the average of
     anything linear in that variable is its value there. At normal incidence an isotropic surface knows no
-    delta phi, so the node at 0 is the average over phi of the row that touches it.
+    delta phi, so the node at 0 is the average over phi of the row that touches it. A peak's energy depends on theta_i
+    also where its q does not: with a peak, the last row stands again at halves of its cosine, down to where facets are
+    hidden, and at grazing incidence.
     """
     sources = list(range(len(table.theta_i)))
     average = [False] * len(sources)
     if table.theta_i_edges is None:
         u_i = np.sin(table.theta_i) ** 2
         average[0] = bool(u_i[0] < 1e-12)
-        return u_i, sources, average
-    edges = np.sin(table.theta_i_edges) ** 2
-    u_i = 0.5 * (edges[1:] + edges[:-1])
-    if edges[0] < 1e-12:
-        return np.concatenate([[0.0], u_i]), [0, *sources], [True, *average]
+    else:
+        edges = np.sin(table.theta_i_edges) ** 2
+        u_i = 0.5 * (edges[1:] + edges[:-1])
+        if edges[0] < 1e-12:
+            u_i, sources, average = np.concatenate([[0.0], u_i]), [0, *sources], [True, *average]
+    if table.peak is not None and u_i[-1] < 1.0 - 1e-12:
+        cosine = np.sqrt(1.0 - u_i[-1])
+        halvings = np.arange(1, max(0, int(np.ceil(np.log2(cosine / (2.0 * table.peak.alpha))))) + 1)
+        cosines = np.append(cosine * 0.5**halvings, 0.0)
+        u_i = np.append(u_i, 1.0 - cosines**2)
+        sources, average = sources + len(cosines) * sources[-1:], average + len(cosines) * [False]
     return u_i, sources, average
 
 

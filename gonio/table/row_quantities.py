@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 from gonio.core.jit import kernel
 from gonio.table.interpolation import locate_row
-from gonio.table.pool import BENDS, N_CHANNELS, PEAK, ROWS
+from gonio.table.pool import AXES, BENDS, N_CHANNELS, PEAK, ROWS
 
 _ALBEDO, _SPECULAR = 1, 2  # columns of `Pool.rows`
 
@@ -21,13 +23,15 @@ def _row_quantity(pool, t, cos_i, column, out):
         out[c] = (1.0 - w) * at_a + w * at_b if cos_i >= 0.0 else 0.0
     if peak >= 0 and cos_i >= 0.0:
         first = pool.header[peak, ROWS] + 1 + column * n
+        # as `gonio.table.highlight.bends_between`
+        x = 1.0 - math.sqrt(1.0 - w) if pool.axes[pool.header[t, AXES] + b] >= 1.0 else w
         for c in range(n):
             at_a = pool.rows[first + a * (1 + 3 * n) + c]
             at_b = pool.rows[first + b * (1 + 3 * n) + c]
             out[c] += (1.0 - w) * at_a + w * at_b
             if column == _ALBEDO:
                 bend = pool.header[peak, BENDS] + 2 * a * n + c
-                out[c] += w * (1.0 - w) * (pool.bends[bend] + w * pool.bends[bend + n])
+                out[c] += x * (1.0 - x) * (pool.bends[bend] + x * pool.bends[bend + n])
 
 
 @kernel(allocates=False)

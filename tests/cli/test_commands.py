@@ -12,7 +12,7 @@ import pytest
 from gonio import Table
 from gonio.cli import main
 from gonio.trace.measurement import Measurement
-from tests.table.tables import with_parts
+from tests.table.tables import grid, lambert, make, with_parts
 
 SPEC = """
 [surface]
@@ -125,6 +125,21 @@ def test_info_of_parts_for_people(folder, split):
         means = [f"{whole.parts[name].row_albedo[row].mean():.5f}" for name in ("L1", "L2", "L3+")]
         assert lines[n + 2 + row].split()[1:] == means
     assert any(line.split() == ["absorbed:", "layer", "1", "medium", "12.5"] for line in lines)
+
+
+def test_info_claims_no_error_bars_that_are_not_known(tmp_path):
+    table = make(lambert, grid(3, 9, 12), tint=(0.5,))
+    gaps = np.zeros(table.values.shape[:3], bool)
+    gaps[:, 5:] = True
+    values = np.where(gaps[..., None], 0.0, table.values)
+    table.replace(values=values, gaps=gaps).save(tmp_path / "measured.h5")
+    data = json.loads(gonio("info", "measured.h5", "--json", cwd=tmp_path).stdout)
+    assert data["albedo_std_error"] == [[None]] * 3
+    assert data["gaps"] == pytest.approx(np.cos(np.radians(50)) ** 2)
+    text = gonio("info", "measured.h5", cwd=tmp_path).stdout
+    assert "+-" not in text
+    assert "gaps          41.3 % of the projected solid angle: the albedo is of the rest" in text
+    assert f"{table.row_albedo[1, 0]:.5f} [0.0000]" in text
 
 
 def test_convert_a_part(folder, split):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gonio.core.directions import direction
 from gonio.table.checks import check
 from gonio.table.table import Table
 from microgeometry.errors import InputError
@@ -40,6 +41,26 @@ def test_sides_scale_and_gaps(tmp_path):
     assert table.gaps[:, ring, sideways].all()
 
 
+def test_other_angles_for_every_light(tmp_path):
+    """Every 3 degrees, and every degree about the mirror direction: what one light lacks is no dark line in it."""
+    lines = ["Incident_angle,Measure_angle,500nm"]
+    for incident in (20, 50):
+        angles = np.union1d(np.arange(-75, 76, 3), np.arange(incident - 5, incident + 6))
+        angles = angles[np.abs(angles + incident) > 10.5]  # the source stands there
+        lines += [f"{incident},{angle},{2 + np.sin(np.radians(angle))}" for angle in angles]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([*lines, ""]))
+    table = Table.load(path)
+    for row, incident in enumerate((20, 50)):
+        measured = np.arange(-74.5, 75, 0.5)
+        wo = direction(np.radians(np.abs(measured)), np.where(measured >= 0, np.pi, 0.0))
+        found = table.eval(direction(table.theta_i[row]), wo)[:, 0]
+        known = np.abs(measured + incident) > 14
+        np.testing.assert_allclose(np.pi * found[known], 2 + np.sin(np.radians(measured[known])), rtol=0.03)
+        retro = np.searchsorted(table.theta_r_edges, np.radians(incident)) - 1
+        assert table.gaps[row, retro, 0]
+
+
 DAMAGE = {
     "columns": (
         lambda t: t.replace("Measure_angle", "angle"),
@@ -71,5 +92,7 @@ def test_real_file(real_data):
     for row in range(3):
         mirror = table.values[row, :, -1].mean(axis=-1)
         assert abs(np.degrees(table.theta_r[np.argmax(mirror)] - table.theta_i[row])) < 1.5
+    smooth = table.eval(direction(table.theta_i[2]), direction(np.radians(np.arange(1, 31)), np.pi))
+    np.testing.assert_allclose(np.pi * smooth.mean(axis=-1), 0.96, rtol=0.02)
     matt = table.values[0, np.searchsorted(table.theta_r_edges, np.radians(45)) - 1, 0]
     np.testing.assert_allclose(np.pi * matt, 0.95, atol=0.06)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gonio import formats
+from gonio.bench.peak import tabulated
 from gonio.core.directions import direction
 from gonio.formats import rgl
 from gonio.formats.tensor_file import MAGIC, read_tensors, write_tensors
 from gonio.formats.warp import Warp, bilinear
+from gonio.table.peak import grid_of
 from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
@@ -154,6 +157,26 @@ def test_round_trip_and_losses(tmp_path):
     assert median < 0.02
     assert albedo < 0.01
     assert worst < 0.1
+
+
+@pytest.mark.compiled
+def test_wavelengths_out_of_order_keep_the_highlight(tmp_path):
+    grey, tint = tabulated(0.02, np.arange(0, 91, 15), grid_of([0.02], 1.0)), np.array([1.0, 0.5])
+
+    def write(name, order):
+        table = grey.replace(
+            **{field: getattr(grey, field) * tint[order] for field in ("values", "row_albedo", "specular")},
+            **dict.fromkeys(("albedo_std_error", "specular_std_error"), np.zeros(())),
+            channels=("a", "b"),
+            wavelengths_nm=np.array([450.0, 650.0])[order],
+            peak=replace(grey.peak, values=grey.peak.values * tint[order]),
+        )
+        assert any("fine grid of the highlight" in line for line in table.save(tmp_path / name))
+        return read_tensors(tmp_path / name)
+
+    one, other = write("decreasing.bsdf", [1, 0]), write("increasing.bsdf", [0, 1])
+    for name in ("vndf", "luminance", "spectra", "wavelengths"):
+        np.testing.assert_allclose(one[name], other[name], rtol=0.01, atol=1e-9)
 
 
 @pytest.mark.compiled

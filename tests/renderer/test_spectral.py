@@ -1,9 +1,14 @@
 """Materials of many wavelengths, rendered through the CIE's observer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fitting.result import Fit, FittedLobe
+from gonio.bench.peak import tabulated
+from gonio.core.directions import direction
+from gonio.table.peak import grid_of
 from microgeometry.colour import rgb_matrix
 from microgeometry.errors import InputError
 from renderer.scene import Material
@@ -59,6 +64,37 @@ def test_a_colour_outside_the_gamut_is_cut_off():
     rgb = rgb_table(table.replace(values=table.values * only, row_albedo=table.row_albedo * only), "")
     assert rgb.values[..., 0].max() == 0
     assert rgb.values[..., 1].min() > 0
+
+
+@pytest.mark.parametrize("channels", [("R", "G", "B"), ("a", "b", "c")])
+def test_a_delta_term_outside_the_gamut_is_cut_off(channels):
+    """A soap film's red at 60 degrees; what else the table reflects stays."""
+    table = lambert_table(0.5)
+    outside = np.array([-0.04, 0.09, 0.2])
+    table = table.replace(
+        specular=np.broadcast_to(outside, table.specular.shape),
+        row_albedo=table.row_albedo + outside,
+        channels=channels,
+    )
+    rgb = rgb_table(table, "")
+    np.testing.assert_array_equal(rgb.specular, np.maximum(table.specular, 0))
+    np.testing.assert_allclose(rgb.row_albedo - rgb.specular, table.row_albedo - table.specular)
+    wi, wo = direction(0.5), direction(0.7, 1.0)
+    np.testing.assert_allclose(rgb.eval(wi, wo), table.eval(wi, wo), rtol=1e-6)
+
+
+def test_a_highlight_of_its_own_is_mixed_like_the_rest():
+    grey = tabulated(0.02, np.arange(0, 91, 15), grid_of([0.02], 1.0))
+    table = grey.replace(
+        **{name: getattr(grey, name) * ALBEDO for name in ("values", "row_albedo", "specular")},
+        **dict.fromkeys(("albedo_std_error", "specular_std_error"), np.zeros(())),
+        std_error=None,
+        channels=NAMES,
+        wavelengths_nm=NM,
+        peak=replace(grey.peak, values=grey.peak.values * ALBEDO),
+    )
+    wi, wo = direction(0.5), direction(0.51, np.pi)
+    np.testing.assert_allclose(rgb_table(table, "").eval(wi, wo), expected() * grey.eval(wi, wo), rtol=1e-5)
 
 
 def test_channels_that_are_no_colours_are_refused():

@@ -9,6 +9,7 @@ import pytest
 
 from gonio.table.checks import check, map_noise, noise_lines
 from gonio.table.parts import extract
+from gonio.trace.error_bars import cell_errors
 from gonio.validation import seed_from
 from tests.table.tables import asymmetric, ggx, grid, lambert, make, with_parts
 
@@ -84,6 +85,34 @@ def test_error_bars_from_few_batches():
     assert named(report, "reciprocity of cells").numbers["chi2_per_dof"] == pytest.approx(1, abs=0.12)
 
 
+@pytest.mark.parametrize("paths", [3e4, 1e5, 1e6])
+def test_error_bars_of_few_paths_are_no_asymmetry(paths):
+    """A tracer's error of a cell of one path is that of how many its neighbours expect, less than one."""
+    rng = np.random.default_rng(seed_from(f"few {paths}"))
+    edges = grid(30, 30, 60)
+    table = poisson(ggx(0.5, 0.9), rng, paths, edges)
+    areas, per_row = table.projected_solid_angles, int(paths / 30)
+    error = np.empty_like(table.values)
+    for row, hits in enumerate(table.hits):
+        energy = hits[..., None] / per_row
+        error[row] = cell_errors(energy, energy / per_row, hits, areas, per_row) / areas[..., None]
+    for scale in ("cells", "rings"):
+        found = named(check(table.replace(std_error=error)), f"reciprocity of {scale}")
+        assert found.passed, found.detail
+        dof = found.numbers["dof"]
+        assert found.numbers["chi2_per_dof"] == pytest.approx(1, abs=4 * np.sqrt(2 / dof) + 0.1)
+
+
+def test_what_is_too_dark_to_compare_is_not_ok():
+    table = make(lambert, grid(20, 20, 30), tint=(0.0,))
+    report = check(table.replace(std_error=np.full_like(table.values, 1e-3)))
+    for scale in ("cells", "rings"):
+        found = named(report, f"reciprocity of {scale}")
+        assert found.passed is None
+        assert found.numbers["dof"] == 0
+        assert "enough paths" in found.detail
+
+
 @pytest.mark.parametrize("asymmetry", [0.03, -0.03])
 def test_three_percent_asymmetry_is_found(asymmetry):
     """20 M paths over 45 rows: 220 hits a cell, 3 % is hidden in each and plain in the rings."""
@@ -102,6 +131,18 @@ def test_exact_rows_and_tables_without_errors_only_inform():
     assert named(check(rows), "asymmetry").numbers["relative_rms"] < 0.01
     skewed = make(asymmetric, grid(20, 90, 30), theta_i=np.radians([10.0, 40.0, 70.0]))
     assert named(check(skewed), "asymmetry").numbers["relative_rms"] > 0.1
+
+
+def test_gaps_are_no_asymmetry():
+    rows = make(ggx(0.5, 0.9), grid(20, 90, 30), theta_i=np.radians([10.0, 40.0, 70.0]), tint=(0.5,))
+    gaps = np.zeros(rows.values.shape[:3], bool)
+    gaps[1, 60:, :20] = True  # of the pair of 40 and 70 degrees, 20 of 30 sectors one way
+    values = np.where(gaps[..., None], 0.0, rows.values)
+    assert named(check(rows.replace(values=values)), "asymmetry").numbers["relative_rms"] > 0.1
+    found = named(check(rows.replace(values=values, gaps=gaps)), "asymmetry")
+    assert found.numbers["relative_rms"] < 0.01
+    nothing = named(check(rows.replace(values=np.zeros_like(values), gaps=np.ones_like(gaps))), "asymmetry")
+    assert nothing.detail == "no two rows see each other's direction"
 
 
 def test_energy():

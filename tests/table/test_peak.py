@@ -143,6 +143,21 @@ def test_weights_add_up_to_the_albedo(alpha, rows):
         assert weight.max() < 1.5 * albedo
 
 
+@pytest.mark.parametrize("last", [60, 81, 90])
+@pytest.mark.parametrize("alpha", [0.002, ALPHA])
+def test_energy_up_to_grazing_incidence(alpha, last):
+    """Beyond the last row's middle it is what `albedo` says, though facets hide ever more of each other."""
+    table = tabulated(alpha, np.arange(last - 9, last + 1, 3), grid_of([alpha], 1.0))
+    rng, n = np.random.default_rng(6), 100_000
+    for degrees in (0.5 * (last + 90), 89.3, 89.7, 89.9, 90.0):
+        wi = np.broadcast_to(direction(np.radians(degrees), 0.7), (n, 3))
+        wo, pdf = table.sample(wi, rng.random((n, 3)))
+        weight = table.eval(wi, wo)[:, 0] * wo[:, 2] / pdf
+        albedo = table.albedo(np.radians(degrees))[0]
+        assert abs(weight.mean() - albedo) < 4 * weight.std() / np.sqrt(n) + 0.005 * albedo
+    assert albedo == pytest.approx(table.row_albedo[-1, 0], rel=1e-6)
+
+
 def test_albedo_holds_table_and_peak(metal):
     expected = metal.row_albedo[:, 0]
     # the row stands at the middle of its interval of sin^2 theta_i

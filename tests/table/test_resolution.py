@@ -37,6 +37,22 @@ def test_not_every_maximum_is_a_highlight():
     assert np.flatnonzero(narrow_rows(spike.replace(values=values))).tolist() == [10]
 
 
+def test_gaps_are_no_highlight():
+    """Measured in every third ring, and in two of the three sectors: what is between them is not dark."""
+    smooth, sharp = (make(ggx(alpha), EDGES, cell_points=4) for alpha in (0.5, 0.005))
+    gaps = np.ones(smooth.values.shape[:3], bool)
+    rings = np.arange(45)
+    for row in range(45):
+        gaps[row, (rings - row) % 3 == 0, -2:] = False
+    for table in (smooth, sharp):
+        dark = table.replace(values=np.where(gaps[..., None], 0.0, table.values))
+        assert narrow_rows(dark)[5:30].all()
+        assert not narrow_rows(dark.replace(gaps=gaps)).any()
+    gaps[:, :, -2:] = False
+    assert narrow_rows(sharp.replace(gaps=gaps))[5:30].all()
+    assert not narrow_rows(smooth.replace(gaps=gaps)).any()
+
+
 @pytest.mark.parametrize("paths", [1e5, 1e7])
 def test_noise_is_no_highlight(paths):
     rng = np.random.default_rng(seed_from(f"resolution {paths}"))

@@ -62,21 +62,38 @@ def check_reciprocity(table: Table) -> list[Check]:
         np.where(f > 0, (e * width) ** 2, 0.0)
         for f, e in zip((first, second), (error[rows, rings], error[rings, rows]), strict=True)
     )
+    # The error of a cell of few paths is that of as many as its neighbours expect, and a cell without any is left out
+    # here: in sums each cell of few is to err by the paths it has
+    counted = variances
+    if table.hits is not None:
+        counted = tuple(
+            np.where(hits < MIN_HITS, (f * width) ** 2 / np.maximum(hits, 1), v)
+            for f, v, hits in zip(
+                (first, second),
+                variances,
+                (table.hits[rows, rings, :, None], table.hits[rings, rows, :, None]),
+                strict=True,
+            )
+        )
     # hits on either side are in proportion to the ring's projected solid angle
     share = np.minimum(areas[rows], areas[rings]) / (areas[rows] + areas[rings])
     batches = table.provenance.get("batches")
     freedom = float(batches) - 1 if isinstance(batches, (int, float)) and batches > 1 else np.inf
-    found = [_compare(name, sums, variances, share, freedom) for name in ("cells", "rings")]
+    found = [_compare(name, sums, variances, counted, share, freedom) for name in ("cells", "rings")]
     level, n_channels = sidak(FALSE_ALARM, len(found)), len(table.channels)
     checks = []
     for name, chi2, expected, dof in found:
-        ratio = chi2 / (expected * dof) if dof else 0.0
+        if dof == 0:
+            detail = f"no pair of {name} holds enough paths to compare"
+            checks.append(Check(f"reciprocity of {name}", None, detail, {"dof": 0}))
+            continue
+        ratio = chi2 / (expected * dof)
         # Channels of one path are correlated, in the worst case copies of each other; and where paths are not
         # counted but estimates shared, so are all cells of a row
         independent = dof / n_channels
         if table.hits is None:
             independent = min(independent, len(table.theta_i))
-        p = float(stats.chi2.sf(ratio * independent, independent)) if dof else 1.0
+        p = float(stats.chi2.sf(ratio * independent, independent))
         failed = p < level and ratio > _CHI2_LIMIT[name]
         checks.append(
             Check(
@@ -91,7 +108,12 @@ def check_reciprocity(table: Table) -> list[Check]:
 
 
 def _compare(
-    name: str, sums: tuple[Array, ...], variances: tuple[Array, ...], share: Array, freedom: float
+    name: str,
+    sums: tuple[Array, ...],
+    variances: tuple[Array, ...],
+    counted: tuple[Array, ...],
+    share: Array,
+    freedom: float,
 ) -> tuple[str, float, float, int]:
     """Chi^2 of f(i, o) - f(o, i), what it is expected to be per comparison, and how many there are.
 
@@ -100,12 +122,13 @@ def _compare(
     value: given n1 + n2 the split is binomial and E z^2 = 1 exactly, where error bars of the single counts
     would be too large or small by 1/n. Sectors are merged until MIN_HITS are expected on the poorer side;
     the rule looks at n1 + n2 only, which says nothing about their difference, so it adds no bias.
+    A block's variance is the sum of `variances`, or of `counted` if that is larger.
     """
     n_pairs, n_sectors, n_channels = sums[0].shape
     # effective hits, both sides together: (sum f)^2 / sum variance of each cell
     hits = np.zeros_like(sums[0])
-    for f, v in zip(sums, variances, strict=True):
-        hits += np.divide(f**2, v, out=np.zeros_like(f), where=v > 0)
+    for f, v, least in zip(sums, variances, counted, strict=True):
+        hits += np.divide(f**2, np.maximum(v, least), out=np.zeros_like(f), where=v > 0)
     block = np.zeros((n_pairs, n_sectors, n_channels), np.int64)  # all sectors, unless cells are compared
     if name == "cells":
         needed = (MIN_HITS / share)[:, None]
@@ -119,9 +142,10 @@ def _compare(
     lines = np.arange(n_pairs)[:, None, None] * n_channels + np.arange(n_channels)
     keys: NDArray = (lines * (n_sectors + 1) + block).ravel()
     merged: list[NDArray] = [
-        np.bincount(keys, a.ravel()) for a in (*sums, *variances, hits, np.ones_like(hits))
+        np.bincount(keys, a.ravel()) for a in (*sums, *variances, *counted, hits, np.ones_like(hits))
     ]
-    f1, f2, v1, v2, hits, cells = merged
+    f1, f2, v1, v2, least1, least2, hits, cells = merged
+    v1, v2 = np.maximum(v1, least1), np.maximum(v2, least2)
     enough = np.repeat(np.repeat(MIN_HITS / share, n_channels), n_sectors + 1)[: len(hits)]
     # The last block of a line may be short of hits: the stopping rule drops it without looking at f1 - f2
     used = (hits >= enough) & (v1 > 0) & (v2 > 0)
@@ -137,7 +161,10 @@ def _compare(
 
 
 def _interpolated_pairs(table: Table) -> tuple[Array, Array, Array]:
-    """Values of each row at the other rows' angles, linear in sin^2 theta_r: (pairs, P, C) both ways."""
+    """Values of each row at the other rows' angles, linear in sin^2 theta_r, and weights: (pairs, P, C) both ways.
+
+    The weight is 0 where either value is in a gap, or beside one.
+    """
     edges = np.sin(table.theta_r_edges) ** 2
     centres = 0.5 * (edges[1:] + edges[:-1])
     u_i = np.sin(table.theta_i) ** 2
@@ -146,13 +173,17 @@ def _interpolated_pairs(table: Table) -> tuple[Array, Array, Array]:
     high = np.minimum(low + 1, len(centres) - 1)
     x = (at - low)[None, :, None, None]
     square = (1 - x) * table.values[:, low] + x * table.values[:, high]  # (I, I, P, C)
+    gaps = np.zeros(table.values.shape[:3], bool) if table.gaps is None else table.gaps
+    known = ~(gaps[:, low] & (x[..., 0] < 1) | gaps[:, high] & (x[..., 0] > 0))
     rows, others = np.triu_indices(len(u_i), 1)
-    weight = np.broadcast_to(np.diff(table.delta_phi_edges)[:, None], square.shape[2:])
-    return square[rows, others], square[others, rows], np.broadcast_to(weight, (len(rows), *weight.shape))
+    weight = (known[rows, others] & known[others, rows]) * np.diff(table.delta_phi_edges)
+    return square[rows, others], square[others, rows], weight[..., None]
 
 
 def _asymmetry(first: Array, second: Array, weight: Array, how: str) -> Check:
     """Size of the difference, whatever the error bars."""
+    if not np.any(weight > 0):
+        return Check("asymmetry", None, "no two rows see each other's direction")
     scale = float(np.sum(weight * (0.5 * (first + second)) ** 2))
     difference = float(np.sum(weight * (first - second) ** 2))
     relative = float(np.sqrt(difference / scale)) if scale > 0 else 0.0

@@ -49,14 +49,19 @@ def narrow_rows(table: Table) -> NDArray[np.bool_]:
     """Rows whose highlight is narrower than three cells, beyond their error bars, shape (I,).
 
     In the plane of incidence, on the mirror side, the mean over three sectors is taken; at the maximum, if it
-    stands near the mirror direction, the values two cells to either side are compared with half of it.
+    stands near the mirror direction, the values two cells to either side are compared with half of it. Cells that
+    nobody measured are left out.
     """
-    values = table.values[:, :, -_SECTORS:].mean(axis=(2, 3))
+    known = np.ones((*table.values.shape[:3], 1)) if table.gaps is None else ~table.gaps[..., None]
+    known = known[:, :, -_SECTORS:]
+    count = known.sum(axis=(2, 3))
+    sectors = np.maximum(count, 1)
+    values = (known * table.values[:, :, -_SECTORS:]).mean(axis=3).sum(axis=2) / sectors
     error = np.zeros_like(values)
     if table.std_error is not None:
         # channels of one path are correlated: their errors add up, those of cells do not
-        cells = table.std_error[:, :, -_SECTORS:].mean(axis=3)
-        error = np.sqrt(np.mean(cells**2, axis=2) / min(_SECTORS, cells.shape[2]))
+        cells = np.where(known, table.std_error[:, :, -_SECTORS:], 0.0).mean(axis=3)
+        error = np.sqrt(np.sum(cells**2, axis=2)) / sectors
     rings = values.shape[1]
     mirror = np.clip(np.searchsorted(table.theta_r_edges, table.theta_i, side="right") - 1, 0, rings - 1)
     narrow = np.zeros(len(values), bool)
@@ -65,7 +70,7 @@ def narrow_rows(table: Table) -> NDArray[np.bool_]:
         peak = int(near[np.argmax(line[near])])
         if line[peak] <= 0:
             continue
-        sides = [ring for ring in (peak - 2, peak + 2) if 0 <= ring < rings]
+        sides = [ring for ring in (peak - 2, peak + 2) if 0 <= ring < rings and count[row, ring] > 0]
         drops = [
             0.5 * line[peak] - line[ring] > _SIGMAS * np.hypot(0.5 * sigma[peak], sigma[ring])
             for ring in sides
