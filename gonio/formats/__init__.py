@@ -269,9 +269,10 @@ def _compare(table: Table, again: Table) -> tuple[float, float, float]:
     """Median and worst relative RMS difference of rows, and mean relative difference of albedos.
 
     Evaluated at the centres of the table's cells, known ones, in at most 16 rows. Where the numbers of
-    channels differ, means over channels are compared.
+    channels differ, means over channels are compared; wavelengths, by which a file may sort them, from the longest.
     """
     from gonio.core.directions import direction
+    from gonio.formats.colour import from_longest
 
     rows = np.unique(np.linspace(0, len(table.theta_i) - 1, 16).round().astype(int))
     wo = direction(table.theta_r[:, None], table.delta_phi)
@@ -281,7 +282,8 @@ def _compare(table: Table, again: Table) -> tuple[float, float, float]:
         wi = direction(table.theta_i[row])
         known = np.ones(wo.shape[:2]) if table.gaps is None else ~table.gaps[row]
         weight = (table.projected_solid_angles * known)[..., None]
-        before, after = table.eval(wi, wo), again.eval(wi, wo)
+        before = table.eval(wi, wo)[..., from_longest(table)]
+        after = again.eval(wi, wo)[..., from_longest(again)]
         if not same:
             before, after = before.mean(axis=-1, keepdims=True), after.mean(axis=-1, keepdims=True)
         norm = np.sum(weight * before**2, axis=(0, 1))

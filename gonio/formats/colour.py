@@ -6,9 +6,11 @@ are per unit of Y.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.table.table import Table
 from microgeometry.errors import InputError
@@ -41,3 +43,28 @@ def check_colour(table: Table, path: Path, name: str) -> None:
             f"{path}: {name} holds one channel or three, the table has {len(table.channels)} channels "
             f"{table.channels}; select or convert to three first"
         )
+
+
+def from_longest(table: Table) -> NDArray[np.int64]:
+    """Channels from the longest wavelength to the shortest; as they are where they are no wavelengths."""
+    if table.wavelengths_nm is None:
+        return np.arange(len(table.channels))
+    return np.argsort(-np.array(table.wavelengths_nm), kind="stable")
+
+
+def reordered(table: Table, order: NDArray[np.int64]) -> Table:
+    """The table and its parts with their channels in another order."""
+    columns = ("values", "std_error", "row_albedo", "albedo_std_error", "specular", "specular_std_error")
+    changes = {n: getattr(table, n)[..., order] for n in columns if getattr(table, n) is not None}
+    peak = table.peak
+    if peak is not None:
+        error = None if peak.std_error is None else peak.std_error[..., order]
+        peak = replace(peak, values=peak.values[..., order], std_error=error)
+    wavelengths = table.wavelengths_nm
+    return table.replace(
+        **changes,
+        peak=peak,
+        channels=tuple(table.channels[n] for n in order),
+        wavelengths_nm=None if wavelengths is None else tuple(wavelengths[n] for n in order),
+        parts={name: reordered(part, order) for name, part in table.parts.items()},
+    )

@@ -10,8 +10,10 @@ import pytest
 from gonio import formats
 from gonio.core.directions import direction
 from gonio.formats import rgl
+from gonio.formats.colour import reordered
 from gonio.formats.tensor_file import MAGIC, read_tensors, write_tensors
 from gonio.formats.warp import Warp, bilinear
+from gonio.table.peak import Peak
 from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
@@ -100,6 +102,46 @@ def test_mitsuba_evaluates_spectra(tmp_path):
     assert np.sqrt(np.mean((found - expected) ** 2) / np.mean(expected**2)) < 0.01
     again = Table.load(tmp_path / "spectral.bsdf")
     assert again.wavelengths_nm == (450.0, 550.0, 600.0, 650.0)
+
+
+@pytest.mark.compiled
+def test_wavelengths_in_any_order(tmp_path):
+    """From red to blue: the same file as from blue to red, the same losses, and the error of its values."""
+    rng = np.random.default_rng(seed_from("rgl order"))
+    table = with_parts(make(ggx(0.3), grid(20, 20, 24)))
+    peak = Peak(10 * rng.random((20, 3, 4, 3)), np.array([0, 0.05, 0.1, 0.2]), np.linspace(0, np.pi, 5))
+    names = ("630 nm", "532 nm", "467 nm")
+    down = table.replace(
+        peak=peak,
+        std_error=0.1 * table.values,
+        wavelengths_nm=(630.0, 532.0, 467.0),
+        channels=names,
+        parts={n: p.replace(wavelengths_nm=(630.0, 532.0, 467.0), channels=names) for n, p in table.parts.items()
+               if n != "transmission"},
+    )  # fmt: skip
+    up = reordered(down, np.array([2, 1, 0]))
+    np.testing.assert_array_equal(up.values, down.values[..., ::-1])
+    down.save(tmp_path / "down.h5")
+    up.save(tmp_path / "up.h5")
+    found = {
+        name: formats.convert(tmp_path / f"{name}.h5", tmp_path / f"{name}.bsdf") for name in ("down", "up")
+    }
+    assert (tmp_path / "down.bsdf").read_bytes() == (tmp_path / "up.bsdf").read_bytes()
+    assert found["down"].lost == found["up"].lost
+    assert any("L1" in line for line in found["down"].lost)
+    assert found["down"].error == pytest.approx(found["up"].error)
+    down.replace(peak=None).save(tmp_path / "plain.h5")
+    plain = formats.convert(tmp_path / "plain.h5", tmp_path / "plain.bsdf")
+    assert plain.error < 0.02
+    assert plain.albedo_error < 0.01
+
+
+@pytest.mark.compiled
+def test_one_wavelength_twice(tmp_path):
+    table = make(lambert, grid(6, 6, 8)).replace(wavelengths_nm=(450.0, 550.0, 450.0))
+    with pytest.raises(InputError, match="two channels of 450 nm"):
+        table.save(tmp_path / "t.bsdf")
+    assert not (tmp_path / "t.bsdf").exists()
 
 
 @needs_mitsuba
