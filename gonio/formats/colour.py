@@ -21,8 +21,8 @@ RGB_TO_XYZ = np.array(
 XYZ_TO_RGB = np.linalg.inv(RGB_TO_XYZ)
 
 
-def check_colour(table: Table, path: Path, name: str) -> None:
-    """For formats that hold one channel or a colour.
+def as_colour(table: Table, path: Path, name: str) -> Table:
+    """For formats that hold one channel or a colour: the table, three wavelengths in the order of R, G and B.
 
     Parameters
     ----------
@@ -39,10 +39,12 @@ def check_colour(table: Table, path: Path, name: str) -> None:
         The table has other than one or three channels.
     """
     if len(table.channels) not in (1, 3):
+        shown = ", ".join(table.channels[:3]) + ", ..." * (len(table.channels) > 3)
         raise InputError(
-            f"{path}: {name} holds one channel or three, the table has {len(table.channels)} channels "
-            f"{table.channels}; select or convert to three first"
+            f"{path}: {name} holds one channel or three, the table has {len(table.channels)} channels ({shown}); "
+            ".csv, .npz and .h5 hold any number, RGL's .bsdf any number of wavelengths"
         )
+    return reordered(table, from_longest(table))
 
 
 def from_longest(table: Table) -> NDArray[np.int64]:
@@ -54,6 +56,8 @@ def from_longest(table: Table) -> NDArray[np.int64]:
 
 def reordered(table: Table, order: NDArray[np.int64]) -> Table:
     """The table and its parts with their channels in another order."""
+    if np.array_equal(order, np.arange(len(table.channels))):
+        return table
     columns = ("values", "std_error", "row_albedo", "albedo_std_error", "specular", "specular_std_error")
     changes = {n: getattr(table, n)[..., order] for n in columns if getattr(table, n) is not None}
     peak = table.peak

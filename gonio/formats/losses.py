@@ -48,7 +48,7 @@ def common_losses(table: Table, name: str, keeps: tuple[str, ...] = ()) -> list[
     if np.any(table.specular > 0) and "delta" not in keeps:
         losses.append(f"the delta (mirror) term: {name} cannot hold it")
     if table.wavelengths_nm is not None and "wavelengths" not in keeps:
-        losses.append(f"wavelengths: {name} has no place for them")
+        losses.append(f"wavelengths: {name} has no place for them{_as_rgb(table)}")
     if table.peak is not None:
         losses.append("the fine grid of the highlight: its light is averaged over the table's cells")
     parts = [p for p in table.parts if not (p == "transmission" and "transmission" in keeps)]
@@ -57,3 +57,10 @@ def common_losses(table: Table, name: str, keeps: tuple[str, ...] = ()) -> list[
     if table.gaps is not None and "gaps" not in keeps:
         losses.append("the marks of gaps: they are written as 0")
     return losses
+
+
+def _as_rgb(table: Table) -> str:
+    if table.wavelengths_nm is None or len(table.wavelengths_nm) != 3:
+        return ""
+    long, middle, short = sorted(table.wavelengths_nm, reverse=True)
+    return f"; {long:g}, {middle:g} and {short:g} nm are written as R, G and B"

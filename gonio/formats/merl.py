@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from gonio.core.directions import half_difference
 from gonio.files import atomic
-from gonio.formats.colour import check_colour
+from gonio.formats.colour import as_colour
 from gonio.formats.highlights import Brdf, resolved
+from gonio.formats.losses import common_losses
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -118,7 +119,7 @@ def write(table: Table, path: Path) -> list[str]:
     OSError
         The file cannot be written.
     """
-    check_colour(table, path, "a MERL file")
+    table = as_colour(table, path, "a MERL file")
     # A bin is read for light and detector exchanged as well
     write_function(lambda wi, wo: 0.5 * (table.eval(wi, wo) + table.eval(wo, wi)), path)
     return _lost(table)
@@ -221,7 +222,7 @@ def _lost(table: Table) -> list[str]:
     if np.any(table.specular > 0):
         losses.append("the delta (mirror) term: MERL cannot hold it")
     if table.wavelengths_nm is not None:
-        losses.append("wavelengths: MERL's channels are R, G and B")
+        losses += [loss for loss in common_losses(table, "MERL") if loss.startswith("wavelengths")]
     if table.parts:
         losses.append(f"the parts {', '.join(table.parts)}: MERL holds one table of reflection")
     if len(table.channels) == 1:

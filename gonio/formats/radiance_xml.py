@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gonio.files import atomic
 from gonio.formats.cells import average_cells, row_centres, table_of, uniform_grid
-from gonio.formats.colour import check_colour
+from gonio.formats.colour import as_colour
 from gonio.formats.klems import BASES, Klems
 from gonio.formats.losses import common_losses
 from gonio.formats.radiance_document import document
@@ -142,7 +142,7 @@ def write(table: Table, path: Path) -> list[str]:
     OSError
         The file cannot be written.
     """
-    check_colour(table, path, "a WINDOW file")
+    table = as_colour(table, path, "a WINDOW file")
     tree = path.name.lower().endswith(".tree.xml")
     sides = {"Reflection Front": table}
     if TRANSMISSION in table.parts:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from gonio.core.directions import direction
 from gonio.formats.cells import average_cells, row_centres, table_of, uniform_grid
-from gonio.formats.colour import RGB_TO_XYZ, check_colour, reordered
+from gonio.formats.colour import RGB_TO_XYZ, as_colour, reordered
 from gonio.formats.highlights import Brdf, resolved
 from gonio.formats.losses import common_losses
 from gonio.formats.rgl_tensors import N_THETA_I, tensors_of, to_unit
@@ -118,7 +118,7 @@ def write(table: Table, path: Path) -> list[str]:
         The file cannot be written.
     """
     if table.wavelengths_nm is None:
-        check_colour(table, path, "an RGL file without wavelengths")
+        table = as_colour(table, path, "an RGL file without wavelengths")
     if table.wavelengths_nm is not None:
         table = reordered(table, np.argsort(table.wavelengths_nm, kind="stable"))
         wavelengths = np.array(table.wavelengths_nm, np.float32)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from gonio.core.directions import direction, projected_solid_angles
 from gonio.files import atomic
 from gonio.formats.cells import average_cells, check_size, justified_bytes, table_of
-from gonio.formats.colour import RGB_TO_XYZ, XYZ_TO_RGB, check_colour
+from gonio.formats.colour import RGB_TO_XYZ, XYZ_TO_RGB, as_colour
 from gonio.formats.grid import close_circle, interpolate
 from gonio.formats.losses import common_losses, stated_reflectance
 from gonio.formats.samples import Samples
@@ -128,7 +128,7 @@ def write(table: Table, path: Path) -> list[str]:
         The file cannot be written.
     """
     n_channels = len(table.channels)
-    check_colour(table, path, "a Zemax file")
+    table = as_colour(table, path, "a Zemax file")
     transmits = str(table.provenance.get("part", "")).endswith(TRANSMISSION)
     names = _CHANNELS["monochrome" if n_channels == 1 else "xyz"]
     lines = [

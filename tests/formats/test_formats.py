@@ -59,6 +59,22 @@ def test_error_is_that_of_a_wrong_file(saved):
     assert formats._compare(table, swapped)[0] > 0.1
 
 
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", ["t.binary", "t.zemax.bsdf", "t.xml", "t.tree.xml"])
+def test_the_longest_of_three_wavelengths_is_red(name, tmp_path):
+    """Blue, green and red of albedos 1/2, 4/10 and 1/4 in a table, and in the file red, green and blue."""
+    table = make(lambert, grid(9, 9, 12)).replace(wavelengths_nm=(467.0, 532.0, 630.0))
+    table = table.replace(parts={"transmission": table})
+    table.save(tmp_path / "t.h5")
+    done = formats.convert(tmp_path / "t.h5", tmp_path / name)
+    assert any("630, 532 and 467 nm are written as R, G and B" in what for what in done.lost)
+    again = Table.load(tmp_path / name)
+    np.testing.assert_allclose(again.albedo(0.5), [0.25, 0.4, 0.5], rtol=0.02)
+    if name.endswith(".xml"):
+        np.testing.assert_allclose(again.parts["transmission"].albedo(0.5), [0.25, 0.4, 0.5], rtol=0.02)
+    assert done.albedo_error < 0.02
+
+
 def test_what_reading_lost_is_reported(tmp_path):
     write_file(tmp_path / "z.bsdf", lambert, "Asymmetrical4D", rotations=(0, 90))
     done = formats.convert(tmp_path / "z.bsdf", tmp_path / "z.h5")
