@@ -13,6 +13,7 @@ from gonio import formats
 from gonio.core.directions import direction
 from gonio.formats.cells import cells_around
 from gonio.table.checks import check
+from gonio.table.peak import Peak
 from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
@@ -114,6 +115,22 @@ def test_npz_keeps_everything(tmp_path):
     table = full_table()
     assert table.save(tmp_path / "t.npz") == []
     assert_same(table, Table.load(tmp_path / "t.npz"))
+
+
+def test_npz_keeps_the_highlight(tmp_path):
+    rng = np.random.default_rng(seed_from("npz peak"))
+    table = make(asymmetric, grid(6, 7, 8))
+    edges = np.array([0, 0.01, 0.03]), np.linspace(0, np.pi, 5)
+    for error in (None, rng.random((6, 2, 4, 3))):
+        peak = Peak(rng.random((6, 2, 4, 3)), *edges, error)
+        part = table.replace(peak=peak)
+        assert part.replace(parts={"transmission": part}).save(tmp_path / "t.npz") == []
+        again = Table.load(tmp_path / "t.npz")
+        for found in (again.peak, again.parts["transmission"].peak):
+            for name in Peak.__dataclass_fields__:
+                np.testing.assert_array_equal(getattr(found, name), getattr(peak, name), err_msg=name)
+    rewrite(tmp_path / "t.npz", {"peak/psi_edges.npy": None})
+    refused(tmp_path / "t.npz", "array peak/psi_edges is missing")
 
 
 CSV_DAMAGE = {
