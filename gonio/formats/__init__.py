@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.files import check_writable
-from gonio.table.parts import extract
+from gonio.table.parts import TRANSMISSION, extract, is_transmission
 from microgeometry.errors import InputError
 
 if TYPE_CHECKING:
@@ -167,7 +167,10 @@ def convert(
     lost = (*before, *write(table, target))
     if not isinstance(table, Table) or Path(target).suffix.lower() == ".h5":
         return Conversion(lost)
-    return Conversion(lost, *_compare(table, read(target)))
+    again = read(target)
+    if is_transmission(table) and TRANSMISSION in again.parts:  # where files know it from reflection
+        again = again.parts[TRANSMISSION]
+    return Conversion(lost, *_compare(table, again))
 
 
 def _resampling(path: Path, table: Any, part: str | None) -> list[str]:

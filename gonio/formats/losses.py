@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.table.parts import is_transmission
 from gonio.table.table import Table
 
 Array = NDArray[np.float64]
@@ -40,7 +41,8 @@ def common_losses(table: Table, name: str, keeps: tuple[str, ...] = ()) -> list[
     name : str
         Of the format.
     keeps : tuple of str
-        Which of "error bars", "delta", "wavelengths", "parts", "gaps", "transmission" the format does keep.
+        Which of "error bars", "delta", "wavelengths", "parts", "gaps", "transmission" (that part), "side" (whether
+        light is reflected or transmitted) the format does keep.
     """
     losses = []
     if table.std_error is not None and "error bars" not in keeps:
@@ -54,6 +56,8 @@ def common_losses(table: Table, name: str, keeps: tuple[str, ...] = ()) -> list[
     parts = [p for p in table.parts if not (p == "transmission" and "transmission" in keeps)]
     if parts and "parts" not in keeps:
         losses.append(f"the parts {', '.join(parts)}: {name} holds no such tables")
+    if is_transmission(table) and "side" not in keeps:
+        losses.append(f"that the light is transmitted: {name} has it for reflected")
     if table.gaps is not None and "gaps" not in keeps:
         losses.append("the marks of gaps: they are written as 0")
     return losses

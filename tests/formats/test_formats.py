@@ -12,7 +12,7 @@ from gonio.table.table import Table
 from microgeometry.errors import InputError
 from tests.formats.test_lists import write_lighttools
 from tests.formats.test_zemax import write_file
-from tests.table.tables import asymmetric, grid, lambert, make
+from tests.table.tables import asymmetric, grid, lambert, make, with_parts
 
 
 @pytest.fixture
@@ -73,6 +73,25 @@ def test_the_longest_of_three_wavelengths_is_red(name, tmp_path):
     if name.endswith(".xml"):
         np.testing.assert_allclose(again.parts["transmission"].albedo(0.5), [0.25, 0.4, 0.5], rtol=0.02)
     assert done.albedo_error < 0.02
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("part", ["transmission", "transmission/L1"])
+@pytest.mark.parametrize("name", ["t.zemax.bsdf", "t.xml", "t.tree.xml", "t.bsdf", "t.csv"])
+def test_transmission_alone_is_written_as_such(name, part, tmp_path):
+    """Or, where the format knows no such thing, said to be lost; the error is that of what was written."""
+    with_parts(make(lambert, grid(9, 9, 12))).save(tmp_path / "t.h5")
+    done = formats.convert(tmp_path / "t.h5", tmp_path / name, part)
+    assert done.worst < 0.1
+    again = Table.load(tmp_path / name)
+    alike = not name.endswith((".zemax.bsdf", ".xml"))
+    assert any(what.startswith("that the light is transmitted") for what in done.lost) == alike
+    written = again if alike else again.parts["transmission"]
+    scale = 0.25 * (0.5 if part.endswith("L1") else 1.0)
+    np.testing.assert_allclose(written.albedo(0.5), scale * 0.5 * np.array([1.0, 0.8, 0.5]), rtol=0.02)
+    if not alike:
+        assert np.all(again.gaps)
+        assert np.all(again.values == 0)
 
 
 def test_what_reading_lost_is_reported(tmp_path):
