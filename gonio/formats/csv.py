@@ -3,8 +3,9 @@
 Columns: theta_i_deg, theta_r_deg, delta_phi_deg, then for each channel its name and, where error bars are
 known, its name with ``_std_error``. Values are f in 1/sr without cosine; delta_phi is 0 at
 retro-reflection. Cells that are gaps have no line. What the columns cannot say stands in front, in lines of
-``# name: JSON``: the cells' edges, albedo, delta term and wavelengths. Without those lines the numbers are
-taken as samples, and a cell is put around each; so any list of measurements with these columns is read.
+``# name: JSON``: the cells' edges, albedo, delta term, wavelengths, and how many lines of cells follow.
+Without those lines the numbers are taken as samples, and a cell is put around each; so any list of measurements
+with these columns is read.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ def samples_of(path: Path) -> dict[str, Samples]:
 
 def _read(path: Path) -> tuple[dict[str, Any], Samples, Array | None, tuple[str, ...], dict[str, Any]]:
     """Notes, samples, their error bars, channels, and the other fields of `Table`."""
-    lines = path.read_bytes().decode("utf-8", "replace").splitlines()
+    text = path.read_bytes().decode("utf-8", "replace")
+    lines = text.splitlines()
     notes = _notes([line for line in lines if line.startswith("#")], path)
     lines = [line for line in lines if line.strip() and not line.startswith("#")]
     if not lines:
@@ -73,6 +75,11 @@ def _read(path: Path) -> tuple[dict[str, Any], Samples, Array | None, tuple[str,
             f"{path}: columns of values with a name each are expected beside {', '.join(_ANGLES)}"
         )
     words = ",".join(lines[1:]).split(",") if len(lines) > 1 else []
+    if "lines" in notes and (notes["lines"] != len(lines) - 1 or not text.endswith("\n")):
+        raise InputError(
+            f"{path}: {len(lines) - 1} lines of cells, its line # lines says {str(notes['lines'])[:20]}; "
+            "it is truncated, copy it again"
+        )
     if len(words) != (len(lines) - 1) * len(names) or any(
         line.count(",") != len(names) - 1 for line in lines
     ):
@@ -121,7 +128,7 @@ def write(table: Table, path: Path) -> list[str]:
         if table.std_error is not None:
             columns.append(table.std_error[known, c])
             names.append(name + _ERROR)
-    notes: dict[str, Any] = {"theta_i": np.degrees(table.theta_i).tolist()}
+    notes: dict[str, Any] = {"lines": int(known.sum()), "theta_i": np.degrees(table.theta_i).tolist()}
     for name in _EDGES:
         if (edges := getattr(table, name)) is not None:
             notes[name] = np.degrees(edges).tolist()
@@ -146,7 +153,7 @@ def _notes(lines: list[str], path: Path) -> dict[str, Any]:
     notes = {}
     for line in lines:
         name, colon, text = line[1:].partition(":")
-        if colon and name.strip() in (*_EDGES, *_ROWS, "theta_i", "wavelengths_nm"):
+        if colon and name.strip() in (*_EDGES, *_ROWS, "theta_i", "wavelengths_nm", "lines"):
             try:
                 notes[name.strip()] = json.loads(text)
             except (ValueError, RecursionError) as error:

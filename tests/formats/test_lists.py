@@ -133,6 +133,20 @@ def test_npz_keeps_the_highlight(tmp_path):
     refused(tmp_path / "t.npz", "array peak/psi_edges is missing")
 
 
+def test_truncated_csv(tmp_path):
+    """Wherever it was cut: between lines cells are missing, in the last number a digit is."""
+    table = make(asymmetric, grid(4, 4, 5))
+    path = tmp_path / "t.csv"
+    table.save(path)
+    whole = path.read_bytes()
+    between = whole[:-1].rfind(b"\n") + 1
+    for n in (between, between - 1, len(whole) - 1, len(whole) - 3):
+        path.write_bytes(whole[:n])
+        refused(path, "lines of cells, its line # lines says 80; it is truncated")
+    path.write_bytes(whole)
+    np.testing.assert_allclose(Table.load(path).values, table.values, rtol=1e-8)
+
+
 CSV_DAMAGE = {
     "empty": ("", "empty"),
     "no angle": ("theta_i_deg,theta_r_deg,Y\n1,2,3\n", "0 columns delta_phi_deg"),
