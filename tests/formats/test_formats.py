@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from gonio import formats
+from gonio.formats.highlights import resolved
+from gonio.table.peak import Peak
 from gonio.table.table import Table
 from microgeometry.errors import InputError
+from tests.formats.test_highlights import metal, sampled
 from tests.formats.test_lists import write_lighttools
 from tests.formats.test_zemax import write_file
 from tests.table.tables import asymmetric, grid, lambert, make, with_parts
@@ -92,6 +95,19 @@ def test_transmission_alone_is_written_as_such(name, part, tmp_path):
     if not alike:
         assert np.all(again.gaps)
         assert np.all(again.values == 0)
+
+
+@pytest.mark.compiled
+def test_error_of_a_highlight_on_its_own_grid(tmp_path):
+    """Cells alone hold the same light less finely; a tenth more light is a tenth; and more of it is found."""
+    table = resolved(sampled(metal(0.01)), metal(0.01))
+    assert table.peak is not None
+    coarse = formats._compare(table, table.replace(peak=None))
+    assert coarse[0] > 0.3
+    assert coarse[2] < 0.02
+    more = table.replace(row_albedo=1.1 * table.row_albedo, values=1.1 * table.values,
+                         peak=Peak(1.1 * table.peak.values, table.peak.slope_edges, table.peak.psi_edges))  # fmt: skip
+    np.testing.assert_allclose(formats._compare(table, more), 0.1, rtol=1e-3)
 
 
 def test_what_reading_lost_is_reported(tmp_path):
