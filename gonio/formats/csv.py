@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.files import atomic
-from gonio.formats.cells import check_size
+from gonio.formats.cells import check_size, justified_bytes
 from gonio.formats.losses import common_losses
 from gonio.formats.points import table_from_points
 from gonio.formats.samples import Samples
@@ -84,7 +84,9 @@ def _read(path: Path) -> tuple[dict[str, Any], Samples, Array | None, tuple[str,
         line.count(",") != len(names) - 1 for line in lines
     ):
         raise InputError(f"{path}: lines of other than {len(names)} columns")
-    numbers = to_numbers(words, "the columns", path).reshape(-1, len(names))
+    numbers = to_numbers(words, "the columns", path, infinite=True).reshape(-1, len(names))
+    if not np.all(np.isfinite(numbers[:, [n for n, name in enumerate(names) if not name.endswith(_ERROR)]])):
+        raise InputError(f"{path}: the columns hold infinity; it is allowed in error bars")
     values = numbers[:, [columns[c] for c in channels]]
     errors = [columns[c + _ERROR] for c in channels if c + _ERROR in columns]
     if len(errors) not in (0, len(channels)):
@@ -111,13 +113,15 @@ def write(table: Table, path: Path) -> list[str]:
     Raises
     ------
     InputError
-        A channel whose name cannot be a column's.
+        A channel whose name cannot be a column's, or a table of so many gaps that the file would not be read.
     OSError
         The file cannot be written.
     """
     for name in table.channels:
         if not name.strip() or any(c in name for c in ',"\n\r#') or name.endswith(_ERROR) or name in _ANGLES:
             raise InputError(f"{path}: a channel named {name!r} cannot be a column; rename it")
+    if len(set(table.channels)) != len(table.channels):
+        raise InputError(f"{path}: channels {table.channels} of one name cannot be columns; rename them")
     known = np.ones(table.values.shape[:3], bool) if table.gaps is None else ~table.gaps
     angles = np.meshgrid(table.theta_i, table.theta_r, table.delta_phi, indexing="ij")
     columns = [np.degrees(a[known]) for a in angles]
@@ -143,6 +147,12 @@ def write(table: Table, path: Path) -> list[str]:
         np.savetxt(
             file, np.column_stack(columns), fmt=["%.10g"] * 3 + ["%.9g"] * (len(names) - 3), delimiter=","
         )
+        file.flush()
+        if 8 * table.values.size > justified_bytes(temporary):
+            raise InputError(
+                f"{path}: {known.sum()} of {known.size} cells are no gaps: a CSV of so few lines for so many cells "
+                "would be taken for damaged; write .h5 or .npz"
+            )
     losses = common_losses(table, "CSV", keeps=("error bars", "delta", "wavelengths", "gaps"))
     if table.hits is not None:
         losses.append("the number of paths in each cell")

@@ -65,19 +65,19 @@ class Words:
         return int(number)
 
 
-def to_numbers(words: Sequence[str], what: str, path: Path) -> Array:
-    """Words as finite numbers.
+def to_numbers(words: Sequence[str], what: str, path: Path, infinite: bool = False) -> Array:
+    """Words as finite numbers, or `infinite` ones too.
 
     Raises
     ------
     InputError
-        One is no number, NaN or infinite.
+        One is no number or not allowed.
     """
     try:
         found = np.array(words, dtype=float)
     except ValueError as error:
         raise InputError(f"{path}: {what}: {str(error)[:80]}; numbers are expected") from error
-    if not np.all(np.isfinite(found)):
+    if np.any(np.isnan(found)) or not (infinite or np.all(np.isfinite(found))):
         raise InputError(f"{path}: {what} holds NaN or infinity; finite numbers are expected")
     return found
 

@@ -133,6 +133,28 @@ def test_npz_keeps_the_highlight(tmp_path):
     refused(tmp_path / "t.npz", "array peak/psi_edges is missing")
 
 
+def test_csv_that_could_not_be_read_is_not_written(tmp_path):
+    table = make(asymmetric, grid(90, 90, 90))
+    gaps = np.ones(table.values.shape[:3], bool)
+    gaps[:, 0, :3] = False
+    path = tmp_path / "t.csv"
+    for bad, message in (
+        (table.replace(channels=("a", "b", "a")), "of one name"),
+        (table.replace(gaps=gaps), "270 of 729000 cells are no gaps"),
+    ):
+        with pytest.raises(InputError, match=message):
+            bad.save(path)
+        assert not list(tmp_path.iterdir())
+
+
+def test_csv_of_unknown_error_bars(tmp_path):
+    table = make(asymmetric, grid(4, 4, 5))
+    error = 0.1 * table.values
+    error[1, 2, 3, 0] = np.inf
+    table.replace(std_error=error).save(tmp_path / "t.csv")
+    np.testing.assert_allclose(Table.load(tmp_path / "t.csv").std_error, error, rtol=1e-8)
+
+
 def test_truncated_csv(tmp_path):
     """Wherever it was cut: between lines cells are missing, in the last number a digit is."""
     table = make(asymmetric, grid(4, 4, 5))
@@ -152,6 +174,8 @@ CSV_DAMAGE = {
     "no angle": ("theta_i_deg,theta_r_deg,Y\n1,2,3\n", "0 columns delta_phi_deg"),
     "no channel": ("theta_i_deg,theta_r_deg,delta_phi_deg\n1,2,3\n", "columns of values"),
     "word": ("theta_i_deg,theta_r_deg,delta_phi_deg,Y\n1,2,3,x\n", "numbers are expected"),
+    "infinite": ("theta_i_deg,theta_r_deg,delta_phi_deg,Y\n1,2,3,inf\n", "hold infinity"),
+    "nan": ("theta_i_deg,theta_r_deg,delta_phi_deg,Y,Y_std_error\n1,2,3,4,nan\n", "NaN"),
     "short": ("theta_i_deg,theta_r_deg,delta_phi_deg,Y\n1,2,3\n", "other than 4 columns"),
     "nothing": ("theta_i_deg,theta_r_deg,delta_phi_deg,Y\n", "no samples"),
     "below": ("theta_i_deg,theta_r_deg,delta_phi_deg,Y\n1,120,3,4\n", "0 to 90 is allowed"),
