@@ -153,11 +153,13 @@ def convert(
     Raises
     ------
     InputError
-        As `read` and `write`; a missing folder, or no such part.
+        As `read` and `write`; a missing folder, no such part, or a target that is the source.
     """
     from gonio.table.table import Table
 
     check_target(target)
+    if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
+        raise InputError(f"{target}: is the file to be converted; choose another name")
     table = read_any(source) if Path(target).suffix.lower() == ".h5" else read(source)
     resampled = _resampling(Path(source), table, part)
     if part is not None:

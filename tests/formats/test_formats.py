@@ -130,6 +130,17 @@ def test_targets_that_cannot_be(tmp_path):
         formats.check_target(tmp_path / "absent" / "t.csv")
 
 
+def test_source_is_not_overwritten(tmp_path):
+    """A measurement would be lost to its own resampling, or a table to a part of it."""
+    path = write_file(tmp_path / "z.bsdf", lambert)
+    (tmp_path / "link.bsdf").symlink_to(path)
+    before = path.read_bytes()
+    for target in (path, tmp_path / "." / "z.bsdf", tmp_path / "link.bsdf"):
+        with pytest.raises(InputError, match="is the file to be converted; choose another name"):
+            formats.convert(path, target)
+    assert path.read_bytes() == before
+
+
 def test_errors_of_the_table_name_the_file(tmp_path):
     """Values that no table may hold, found only when it is built."""
     path = write_file(tmp_path / "z.bsdf", lambert)
