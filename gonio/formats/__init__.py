@@ -10,6 +10,7 @@ they became: "" for the table, "transmission".
 
 from __future__ import annotations
 
+import codecs
 import os
 from dataclasses import dataclass
 from importlib import import_module
@@ -257,7 +258,7 @@ def _by_content(path: Path, names: tuple[str, ...]) -> str:
     if len(names) == 1:
         return names[0]
     with open(path, "rb") as file:
-        start = file.read(1 << 16)
+        start = file.read(1 << 16).removeprefix(codecs.BOM_UTF8)
     if "csv" in names:
         return "plane_csv" if start.lstrip().lower().startswith(b"incident_angle") else "csv"
     if start.startswith(b"tensor_file\0"):

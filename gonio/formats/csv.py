@@ -22,7 +22,7 @@ from gonio.formats.cells import check_size, justified_bytes
 from gonio.formats.losses import common_losses
 from gonio.formats.points import table_from_points
 from gonio.formats.samples import Samples
-from gonio.formats.text import to_numbers
+from gonio.formats.text import content, to_numbers
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -56,7 +56,7 @@ def samples_of(path: Path) -> dict[str, Samples]:
 
 def _read(path: Path) -> tuple[dict[str, Any], Samples, Array | None, tuple[str, ...], dict[str, Any]]:
     """Notes, samples, their error bars, channels, and the other fields of `Table`."""
-    text = path.read_bytes().decode("utf-8", "replace")
+    text = content(path).decode("utf-8", "replace")
     lines = text.splitlines()
     notes = _notes([line for line in lines if line.startswith("#")], path)
     lines = [line for line in lines if line.strip() and not line.startswith("#")]

@@ -13,7 +13,9 @@ from gonio.table.peak import Peak
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 from tests.formats.test_highlights import metal, sampled
-from tests.formats.test_lists import write_lighttools
+from tests.formats.test_lists import write_astm, write_lighttools, write_openmaterial
+from tests.formats.test_plane_csv import write as write_plane
+from tests.formats.test_speos import write_brdf
 from tests.formats.test_zemax import write_file
 from tests.table.tables import asymmetric, grid, lambert, make, with_parts
 
@@ -128,6 +130,24 @@ def test_targets_that_cannot_be(tmp_path):
             formats.check_target(tmp_path / name)
     with pytest.raises(InputError, match="does not exist; create it first"):
         formats.check_target(tmp_path / "absent" / "t.csv")
+
+
+@pytest.mark.parametrize("name", ["t.csv", "plane.csv", "z.bsdf", "l.bsdf", "a.astm", "s.brdf", "o.xompt"])
+def test_mark_of_utf8_in_front(name, tmp_path):
+    """As spreadsheets put it before a CSV, and editors on Windows before any text."""
+    path = tmp_path / name
+    {
+        "t.csv": lambda p: make(asymmetric, grid(3, 3, 4)).save(p),
+        "plane.csv": write_plane,
+        "z.bsdf": lambda p: write_file(p, lambert),
+        "l.bsdf": write_lighttools,
+        "a.astm": write_astm,
+        "s.brdf": lambda p: write_brdf(p, lambert),
+        "o.xompt": write_openmaterial,
+    }[name](path)
+    table = Table.load(path)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    np.testing.assert_array_equal(Table.load(path).values, table.values)
 
 
 def test_source_is_not_overwritten(tmp_path):
