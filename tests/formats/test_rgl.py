@@ -11,6 +11,7 @@ from gonio import formats
 from gonio.core.directions import direction
 from gonio.formats import rgl
 from gonio.formats.colour import reordered
+from gonio.formats.highlights import resolved
 from gonio.formats.tensor_file import MAGIC, read_tensors, write_tensors
 from gonio.formats.warp import Warp, bilinear
 from gonio.table.peak import Peak
@@ -19,6 +20,7 @@ from gonio.validation import seed_from
 from microgeometry.errors import InputError
 from tests.formats.damage import refused
 from tests.formats.mitsuba3 import evaluate, needs_mitsuba
+from tests.formats.test_highlights import metal, sampled
 from tests.table.tables import asymmetric, ggx, grid, lambert, make, with_parts
 
 
@@ -181,6 +183,27 @@ def test_real_file_round_trip(real_data, tmp_path):
         [rgl._evaluate(source, t, theta_o[n : n + 1], phi[n : n + 1])[:, 0] for n, t in enumerate(theta_i)]
     )
     assert np.median(np.abs(truth - expected)[lit] / expected[lit]) < 0.03
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("alpha", [0.02, 0.005])
+def test_narrow_highlight(alpha, tmp_path):
+    """Narrower than the table's cells, on a grid of its own: the file's nodes are where its light is."""
+    table = resolved(sampled(metal(alpha)), metal(alpha))
+    assert table.peak is not None
+    table.save(tmp_path / "narrow.bsdf")
+    fields = rgl._check(read_tensors(tmp_path / "narrow.bsdf"), tmp_path)
+    rng = np.random.default_rng(seed_from("narrow"))
+    for theta_i in np.radians([10, 30, 50, 65]):  # nodes of the file
+        wi = np.broadcast_to(direction(theta_i), (20_000, 3))
+        wo, density = table.sample(wi, rng.random((20_000, 3)))
+        wi, wo, density = wi[density > 0], wo[density > 0], density[density > 0, None]
+        phi = np.arctan2(wo[:, 1], wo[:, 0])
+        found = rgl._evaluate(fields, theta_i, np.arccos(np.minimum(wo[:, 2], 1)), phi).T
+        expected = table.eval(wi, wo) * wo[:, 2:]
+        assert np.mean(found / density) == pytest.approx(np.mean(expected / density), rel=0.01)
+        rms = np.sqrt(np.mean((found - expected) ** 2 / density) / np.mean(expected**2 / density))
+        assert rms < 0.1
 
 
 @pytest.mark.compiled
