@@ -18,6 +18,7 @@ _EVEN, _EVEN_NARROW = (
     0.7,
     0.3,
 )  # share of the normals spread evenly over sqrt(theta); of a highlight with its own grid
+_GRAZING = np.radians(89.5)
 _POLE = np.radians(2.0)  # down to about this theta
 
 
@@ -44,7 +45,8 @@ def tensors_of(table: Table) -> dict[str, NDArray]:
     two_rows = np.stack([ndf, ndf]).astype(np.float32)
     areas = np.stack([sigma, sigma]).astype(np.float32)
     for n, angle in enumerate(theta_i):
-        wi = direction(angle)
+        # no row stands at the horizon, and a highlight continued to there would hold more light than falls in
+        wi = direction(angle if table.peak is None else min(angle, _GRAZING))
         density = ndf * np.maximum(m @ wi, 0) * jacobian
         vndf[n] = density / density.max()
         x, y = Warp(vndf[n].astype(float)).sample(sx, sy)

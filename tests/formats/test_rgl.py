@@ -207,6 +207,28 @@ def test_narrow_highlight(alpha, tmp_path):
 
 
 @pytest.mark.compiled
+def test_narrow_highlight_of_grazing_light(tmp_path):
+    """Between the file's last two angles, 85 and 90 degrees, no more light than the table has in either row."""
+    table = resolved(sampled(metal(0.005), 90), metal(0.005))
+    assert table.peak is not None
+    table.save(tmp_path / "narrow.bsdf")
+    fields = rgl._check(read_tensors(tmp_path / "narrow.bsdf"), tmp_path)
+    rng = np.random.default_rng(seed_from("grazing"))
+    for theta_i in np.radians([86.5, 87.5, 88.5, 89.5]):
+        wi = np.broadcast_to(direction(theta_i), (20_000, 3))
+        u = rng.random((20_000, 3))
+        wo = np.concatenate(
+            [table.sample(wi, u)[0], direction(np.arcsin(np.sqrt(u[:, 0])), 2 * np.pi * u[:, 1])]
+        )
+        wo = wo[wo[:, 2] > 1e-6]
+        density = table.pdf(direction(theta_i), wo) + wo[:, 2] / np.pi
+        phi = np.arctan2(wo[:, 1], wo[:, 0])
+        found = rgl._evaluate(fields, theta_i, np.arccos(wo[:, 2]), phi).mean(axis=0)
+        albedo = np.sum(found / density) / 20_000
+        assert 0.5 < albedo / table.albedo(theta_i)[0] < 1.5
+
+
+@pytest.mark.compiled
 def test_round_trip_and_losses(tmp_path):
     table = with_parts(make(asymmetric, grid(30, 30, 40), specular=0.05))
     table = table.replace(std_error=0.1 * table.values, wavelengths_nm=None)
