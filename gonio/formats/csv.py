@@ -153,7 +153,7 @@ def write(table: Table, path: Path) -> list[str]:
                 f"{path}: {known.sum()} of {known.size} cells are no gaps: a CSV of so few lines for so many cells "
                 "would be taken for damaged; write .h5 or .npz"
             )
-    losses = common_losses(table, "CSV", keeps=("error bars", "delta", "wavelengths", "gaps"))
+    losses = common_losses(table, "CSV", keeps=("error bars", "delta", "wavelengths", "gaps", "rows"))
     if table.hits is not None:
         losses.append("the number of paths in each cell")
     return [*losses, "provenance and ledger"]

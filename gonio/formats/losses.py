@@ -42,7 +42,8 @@ def common_losses(table: Table, name: str, keeps: tuple[str, ...] = ()) -> list[
         Of the format.
     keeps : tuple of str
         Which of "error bars", "delta", "wavelengths", "parts", "gaps", "transmission" (that part), "side" (whether
-        light is reflected or transmitted) the format does keep.
+        light is reflected or transmitted), "peak" (it is evaluated on the highlight's own grid), "rows" (only those
+        of the table) the format does keep.
     """
     losses = []
     if table.std_error is not None and "error bars" not in keeps:
@@ -51,7 +52,7 @@ def common_losses(table: Table, name: str, keeps: tuple[str, ...] = ()) -> list[
         losses.append(f"the delta (mirror) term: {name} cannot hold it")
     if table.wavelengths_nm is not None and "wavelengths" not in keeps:
         losses.append(f"wavelengths: {name} has no place for them{_as_rgb(table)}")
-    if table.peak is not None:
+    if table.peak is not None and "peak" not in keeps:
         losses.append("the fine grid of the highlight: its light is averaged over the table's cells")
     parts = [p for p in table.parts if not (p == "transmission" and "transmission" in keeps)]
     if parts and "parts" not in keeps:
@@ -60,6 +61,13 @@ def common_losses(table: Table, name: str, keeps: tuple[str, ...] = ()) -> list[
         losses.append(f"that the light is transmitted: {name} has it for reflected")
     if table.gaps is not None and "gaps" not in keeps:
         losses.append("the marks of gaps: they are written as 0")
+    if "rows" not in keeps:
+        edges = table.theta_i if table.theta_i_edges is None else table.theta_i_edges
+        first, last = np.degrees(edges[0]), np.degrees(edges[-1])
+        if first > 0.01 or last < 89.99:
+            losses.append(
+                f"that light falls in from {first:.4g} to {last:.4g} degrees only: beyond, the nearest row stands"
+            )
     return losses
 
 

@@ -133,7 +133,7 @@ def write(table: Table, path: Path) -> list[str]:
     return [
         "values between MERL's bins: theta_h is resolved to 0.01 degree at the peak and 2 degrees at 90",
         "differences between light and detector exchanged: MERL holds their mean",
-        *common_losses(table, "MERL", keeps=("gaps",)),
+        *common_losses(table, "MERL", keeps=("gaps", "peak")),
         *(["nothing of the one channel: it is written as R, G and B"] if len(table.channels) == 1 else []),
         "provenance, ledger and the grid of the rows",
     ]

@@ -107,6 +107,8 @@ def _over_azimuths(f: Array, outgoing: Array, incident: Array) -> Array:
 
 def tree_texts(table: Table) -> dict[str, str]:
     """ScatteringData of a table by kind of wavelength."""
+    # the cells hold the light of a highlight as well, and points of the grid would miss it
+    table = table.replace(peak=None)
     n = 2**LEVELS
     centre = (np.arange(2 * n) + 0.5) / (2 * n)
     n_channels = len(table.channels)

@@ -133,7 +133,7 @@ def write(table: Table, path: Path) -> list[str]:
         )
     fields = tensors_of(table)
     write_tensors(path, fields)
-    losses = common_losses(table, "RGL", keeps=("wavelengths",))
+    losses = common_losses(table, "RGL", keeps=("wavelengths", "peak"))
     if len(table.channels) == 1 and table.wavelengths_nm is None:
         losses.append("nothing of the one channel: it is written as R, G and B")
     losses.append(f"rows of incidence other than {N_THETA_I} from 0 to 90 degrees: they are interpolated")

@@ -158,7 +158,7 @@ def write(table: Table, path: Path) -> list[str]:
         lines.append("DataEnd")
     with atomic(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n")
-    losses = common_losses(table, "Zemax", keeps=("side",))
+    losses = common_losses(table, "Zemax", keeps=("side", "peak", "rows"))
     if table.theta_i_edges is not None:
         losses.append("the width of the rows of incidence: their middles are written as exact angles")
     return [

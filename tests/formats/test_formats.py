@@ -112,6 +112,19 @@ def test_error_of_a_highlight_on_its_own_grid(tmp_path):
     np.testing.assert_allclose(formats._compare(table, more), 0.1, rtol=1e-3)
 
 
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", ["t.bsdf", "t.zemax.bsdf", "t.xml", "t.tree.xml", "t.csv"])
+def test_losses_of_highlight_and_rows(name, tmp_path):
+    """Said where they are lost, and nowhere else."""
+    peak = Peak(np.ones((2, 2, 2, 3)), np.array([0, 0.05, 0.1]), np.array([0, 1.0, np.pi]))
+    table = make(lambert, grid(9, 9, 12), theta_i=np.radians([15.0, 75.0])).replace(peak=peak)
+    lost = " ".join(table.save(tmp_path / name))
+    assert ("fine grid of the highlight" in lost) == (name in ("t.xml", "t.tree.xml", "t.csv"))
+    assert ("from 15 to 75 degrees only" in lost) == (name in ("t.bsdf", "t.xml", "t.tree.xml"))
+    table = make(lambert, grid(9, 9, 12))
+    assert "degrees only" not in " ".join(table.save(tmp_path / name))
+
+
 def test_what_reading_lost_is_reported(tmp_path):
     write_file(tmp_path / "z.bsdf", lambert, "Asymmetrical4D", rotations=(0, 90))
     done = formats.convert(tmp_path / "z.bsdf", tmp_path / "z.h5")
