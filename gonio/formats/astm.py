@@ -16,7 +16,7 @@ import numpy as np
 from gonio.formats.colour import XYZ_TO_RGB
 from gonio.formats.points import table_from_points
 from gonio.formats.samples import Samples
-from gonio.formats.text import to_numbers
+from gonio.formats.text import content, to_numbers
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -44,7 +44,7 @@ def samples_of(path: Path) -> dict[str, Samples]:
 
 def _read(path: Path) -> tuple[Samples, dict[str, Any]]:
     """The samples, and the other arguments of `table_from_points`."""
-    lines = path.read_bytes().decode("latin-1").splitlines()
+    lines = content(path).decode("latin-1").splitlines()
     lines = [line.strip() for line in lines if line.strip()]
     starts = [n for n, line in enumerate(lines) if line.split(None, 1)[0] == "VARS"]
     if not starts:

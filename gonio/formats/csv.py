@@ -3,8 +3,9 @@
 Columns: theta_i_deg, theta_r_deg, delta_phi_deg, then for each channel its name and, where error bars are
 known, its name with ``_std_error``. Values are f in 1/sr without cosine; delta_phi is 0 at
 retro-reflection. Cells that are gaps have no line. What the columns cannot say stands in front, in lines of
-``# name: JSON``: the cells' edges, albedo, delta term and wavelengths. Without those lines the numbers are
-taken as samples, and a cell is put around each; so any list of measurements with these columns is read.
+``# name: JSON``: the cells' edges, albedo, delta term, wavelengths, and how many lines of cells follow.
+Without those lines the numbers are taken as samples, and a cell is put around each; so any list of measurements
+with these columns is read.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.files import atomic
-from gonio.formats.cells import check_size
+from gonio.formats.cells import check_size, justified_bytes
 from gonio.formats.losses import common_losses
 from gonio.formats.points import table_from_points
 from gonio.formats.samples import Samples
-from gonio.formats.text import to_numbers
+from gonio.formats.text import content, to_numbers
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -55,7 +56,8 @@ def samples_of(path: Path) -> dict[str, Samples]:
 
 def _read(path: Path) -> tuple[dict[str, Any], Samples, Array | None, tuple[str, ...], dict[str, Any]]:
     """Notes, samples, their error bars, channels, and the other fields of `Table`."""
-    lines = path.read_bytes().decode("utf-8", "replace").splitlines()
+    text = content(path).decode("utf-8", "replace")
+    lines = text.splitlines()
     notes = _notes([line for line in lines if line.startswith("#")], path)
     lines = [line for line in lines if line.strip() and not line.startswith("#")]
     if not lines:
@@ -73,11 +75,18 @@ def _read(path: Path) -> tuple[dict[str, Any], Samples, Array | None, tuple[str,
             f"{path}: columns of values with a name each are expected beside {', '.join(_ANGLES)}"
         )
     words = ",".join(lines[1:]).split(",") if len(lines) > 1 else []
+    if "lines" in notes and (notes["lines"] != len(lines) - 1 or not text.endswith("\n")):
+        raise InputError(
+            f"{path}: {len(lines) - 1} lines of cells, its line # lines says {str(notes['lines'])[:20]}; "
+            "it is truncated, copy it again"
+        )
     if len(words) != (len(lines) - 1) * len(names) or any(
         line.count(",") != len(names) - 1 for line in lines
     ):
         raise InputError(f"{path}: lines of other than {len(names)} columns")
-    numbers = to_numbers(words, "the columns", path).reshape(-1, len(names))
+    numbers = to_numbers(words, "the columns", path, infinite=True).reshape(-1, len(names))
+    if not np.all(np.isfinite(numbers[:, [n for n, name in enumerate(names) if not name.endswith(_ERROR)]])):
+        raise InputError(f"{path}: the columns hold infinity; it is allowed in error bars")
     values = numbers[:, [columns[c] for c in channels]]
     errors = [columns[c + _ERROR] for c in channels if c + _ERROR in columns]
     if len(errors) not in (0, len(channels)):
@@ -104,13 +113,15 @@ def write(table: Table, path: Path) -> list[str]:
     Raises
     ------
     InputError
-        A channel whose name cannot be a column's.
+        A channel whose name cannot be a column's, or a table of so many gaps that the file would not be read.
     OSError
         The file cannot be written.
     """
     for name in table.channels:
         if not name.strip() or any(c in name for c in ',"\n\r#') or name.endswith(_ERROR) or name in _ANGLES:
             raise InputError(f"{path}: a channel named {name!r} cannot be a column; rename it")
+    if len(set(table.channels)) != len(table.channels):
+        raise InputError(f"{path}: channels {table.channels} of one name cannot be columns; rename them")
     known = np.ones(table.values.shape[:3], bool) if table.gaps is None else ~table.gaps
     angles = np.meshgrid(table.theta_i, table.theta_r, table.delta_phi, indexing="ij")
     columns = [np.degrees(a[known]) for a in angles]
@@ -121,7 +132,7 @@ def write(table: Table, path: Path) -> list[str]:
         if table.std_error is not None:
             columns.append(table.std_error[known, c])
             names.append(name + _ERROR)
-    notes: dict[str, Any] = {"theta_i": np.degrees(table.theta_i).tolist()}
+    notes: dict[str, Any] = {"lines": int(known.sum()), "theta_i": np.degrees(table.theta_i).tolist()}
     for name in _EDGES:
         if (edges := getattr(table, name)) is not None:
             notes[name] = np.degrees(edges).tolist()
@@ -136,7 +147,13 @@ def write(table: Table, path: Path) -> list[str]:
         np.savetxt(
             file, np.column_stack(columns), fmt=["%.10g"] * 3 + ["%.9g"] * (len(names) - 3), delimiter=","
         )
-    losses = common_losses(table, "CSV", keeps=("error bars", "delta", "wavelengths", "gaps"))
+        file.flush()
+        if 8 * table.values.size > justified_bytes(temporary):
+            raise InputError(
+                f"{path}: {known.sum()} of {known.size} cells are no gaps: a CSV of so few lines for so many cells "
+                "would be taken for damaged; write .h5 or .npz"
+            )
+    losses = common_losses(table, "CSV", keeps=("error bars", "delta", "wavelengths", "gaps", "rows"))
     if table.hits is not None:
         losses.append("the number of paths in each cell")
     return [*losses, "provenance and ledger"]
@@ -146,7 +163,7 @@ def _notes(lines: list[str], path: Path) -> dict[str, Any]:
     notes = {}
     for line in lines:
         name, colon, text = line[1:].partition(":")
-        if colon and name.strip() in (*_EDGES, *_ROWS, "theta_i", "wavelengths_nm"):
+        if colon and name.strip() in (*_EDGES, *_ROWS, "theta_i", "wavelengths_nm", "lines"):
             try:
                 notes[name.strip()] = json.loads(text)
             except (ValueError, RecursionError) as error:

@@ -25,7 +25,16 @@ import numpy as np
 
 from gonio.files import atomic
 from gonio.formats import hdf5_anisotropic, hdf5_compressed
-from gonio.formats.hdf5_data import at, child, read_array, read_channels, read_json, write_data, write_scale
+from gonio.formats.hdf5_data import (
+    at,
+    check_links,
+    child,
+    read_array,
+    read_channels,
+    read_json,
+    write_data,
+    write_scale,
+)
 from gonio.formats.hdf5_heaps import check_heaps
 from gonio.table.anisotropic import AnisotropicTable
 from gonio.table.peak import Peak
@@ -128,7 +137,9 @@ def read(path: Path) -> Table | AnisotropicTable:
     check_heaps(path)
     try:
         with h5py.File(path, "r") as file:
-            if _is_anisotropic(file, path):
+            anisotropic = _is_anisotropic(file, path)
+            check_links(file, path)
+            if anisotropic:
                 return hdf5_anisotropic.read(file, path)
             if hdf5_compressed.holds(file):
                 return hdf5_compressed.read(file, path, _version(file))

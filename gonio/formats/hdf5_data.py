@@ -53,6 +53,29 @@ def at(where: str) -> Iterator[None]:
         raise InputError(f"{where}{error}") from error
 
 
+def check_links(file: h5py.File, path: Path) -> None:
+    """Refuse a file that reaches a group or dataset by more than one link: it would be read as often.
+
+    Raises
+    ------
+    InputError
+        More links than objects; soft and external ones have none.
+    """
+    links, objects = len(file), 0
+
+    def count(_: str, found: Any) -> None:
+        nonlocal links, objects
+        objects += 1
+        links += len(found) if isinstance(found, h5py.Group) else 0
+
+    file.visititems(count)
+    if links != objects:
+        raise InputError(
+            f"{path}: {links} links to {objects} groups and datasets; one to each is expected; copy or trace the "
+            "file again"
+        )
+
+
 def child(group: h5py.Group, name: str, path: Path, where: str) -> h5py.Group:
     """A group in a group."""
     found = group[name]

@@ -41,6 +41,10 @@ class Klems:
         """Number of patches."""
         return int(self.first[-1])
 
+    def azimuths(self, ring: int) -> Array:
+        """Middles of a ring's patches."""
+        return np.linspace(0.0, 2 * np.pi, int(self.counts[ring]), endpoint=False)
+
     def index(self, theta: Array, phi: Array) -> NDArray[np.int64]:
         """The patch of each direction; radians, any azimuth."""
         ring = np.clip(np.searchsorted(self.edges, theta, "right") - 1, 0, len(self.counts) - 1)

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from gonio.core.directions import half_difference
 from gonio.files import atomic
-from gonio.formats.colour import check_colour
+from gonio.formats.colour import as_colour
 from gonio.formats.highlights import Brdf, resolved
+from gonio.formats.losses import common_losses
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -98,7 +99,7 @@ def _brdf(bins: Array) -> Brdf:
 
 
 def write(table: Table, path: Path) -> list[str]:
-    """Write a table's interpolated values at the centres of MERL's bins.
+    """Write a table's interpolated values at the centres of MERL's bins, negative ones (no data) in its gaps.
 
     Parameters
     ----------
@@ -118,10 +119,38 @@ def write(table: Table, path: Path) -> list[str]:
     OSError
         The file cannot be written.
     """
-    check_colour(table, path, "a MERL file")
-    # A bin is read for light and detector exchanged as well
-    write_function(lambda wi, wo: 0.5 * (table.eval(wi, wo) + table.eval(wo, wi)), path)
-    return _lost(table)
+    table = as_colour(table, path, "a MERL file")
+
+    def both(wi: Array, wo: Array) -> Array:
+        """A bin is read for light and detector exchanged as well; what is unknown both ways is no data."""
+        ways = ((wi, wo), (wo, wi))
+        known = np.array([~_in_gap(table, *way) for way in ways], float)[..., None]
+        total = sum(k * np.maximum(table.eval(*way), 0.0) for k, way in zip(known, ways, strict=True))
+        count = known.sum(axis=0)
+        return np.where(count > 0, total / np.maximum(count, 1), -1.0)
+
+    write_function(both, path)
+    return [
+        "values between MERL's bins: theta_h is resolved to 0.01 degree at the peak and 2 degrees at 90",
+        "differences between light and detector exchanged: MERL holds their mean",
+        *common_losses(table, "MERL", keeps=("gaps", "peak")),
+        *(["nothing of the one channel: it is written as R, G and B"] if len(table.channels) == 1 else []),
+        "provenance, ledger and the grid of the rows",
+    ]
+
+
+def _in_gap(table: Table, wi: Array, wo: Array) -> NDArray[np.bool_]:
+    """Whether two directions are in a cell that nobody measured, of the row that is nearest."""
+    if table.gaps is None:
+        return np.zeros(len(wi), bool)
+    theta_i, theta_r = (np.arccos(np.clip(w[:, 2], 0.0, 1.0)) for w in (wi, wo))
+    delta_phi = np.arctan2(wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0], np.sum(wi[:, :2] * wo[:, :2], axis=1))
+    rows = table.theta_i_edges
+    if rows is None:
+        rows = np.concatenate([[0.0], 0.5 * (table.theta_i[1:] + table.theta_i[:-1]), [0.5 * np.pi]])
+    edges = (rows, theta_i), (table.theta_r_edges, theta_r), (table.delta_phi_edges, np.abs(delta_phi))
+    cells = (np.clip(np.searchsorted(e, x, "right") - 1, 0, len(e) - 2) for e, x in edges)
+    return table.gaps[tuple(cells)]
 
 
 def write_function(brdf: Callable[[Array, Array], Array], path: Path) -> None:
@@ -131,7 +160,7 @@ def write_function(brdf: Callable[[Array, Array], Array], path: Path) -> None:
     ----------
     brdf : callable
         From directions to light and detector, shape (N, 3) each, both above the horizon, to f in 1/sr, shape
-        (N, 3) or (N, 1): R, G, B or grey.
+        (N, 3) or (N, 1): R, G, B or grey; negative for no data.
     path : Path
 
     Raises
@@ -209,21 +238,3 @@ def _look_up(bins: Array, angles: tuple[Array, Array, Array]) -> Array:
         for phi in (phi_d, -phi_d)
     ]
     return np.stack(both, axis=-2)
-
-
-def _lost(table: Table) -> list[str]:
-    losses = [
-        "values between MERL's bins: theta_h is resolved to 0.01 degree at the peak and 2 degrees at 90",
-        "differences between light and detector exchanged: MERL holds their mean",
-    ]
-    if table.std_error is not None:
-        losses.append("error bars")
-    if np.any(table.specular > 0):
-        losses.append("the delta (mirror) term: MERL cannot hold it")
-    if table.wavelengths_nm is not None:
-        losses.append("wavelengths: MERL's channels are R, G and B")
-    if table.parts:
-        losses.append(f"the parts {', '.join(table.parts)}: MERL holds one table of reflection")
-    if len(table.channels) == 1:
-        losses.append("nothing of the one channel: it is written as R, G and B")
-    return [*losses, "provenance, ledger and the grid of the rows"]

@@ -1,7 +1,8 @@
 """NPZ files: a table's fields as numpy arrays under their own names; read with `numpy.load`.
 
 Arrays are those of `Table`, angles in radians; ``channels`` is an array of text, ``ledger`` and
-``provenance`` are JSON in arrays of text. A part's arrays are named ``parts/<name>/values`` and so on.
+``provenance`` are JSON in arrays of text. Those of a highlight's own grid (`gonio.table.peak.Peak`) are named
+``peak/values`` and so on, a part's ``parts/<name>/values``.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.files import atomic
+from gonio.table.peak import Peak
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -24,6 +26,7 @@ _ARRAYS = (
     "values", "std_error", "hits", "gaps", "theta_i", "theta_i_edges", "theta_r_edges", "delta_phi_edges",
     "row_albedo", "albedo_std_error", "specular", "specular_std_error",
 )  # fmt: skip
+_PEAK = ("values", "slope_edges", "psi_edges", "std_error")
 _NEEDED = ("values", "theta_i", "theta_r_edges", "delta_phi_edges", "row_albedo", "channels")
 _MAX_RATIO = 1100  # deflate cannot shrink more
 _MAX_DEPTH = 8
@@ -79,6 +82,10 @@ def _collect(table: Table, prefix: str, arrays: dict[str, NDArray]) -> None:
     for name in _ARRAYS:
         if (array := getattr(table, name)) is not None:
             arrays[prefix + name] = array
+    if table.peak is not None:
+        for name in _PEAK:
+            if (array := getattr(table.peak, name)) is not None:
+                arrays[f"{prefix}peak/{name}"] = array
     arrays[prefix + "channels"] = np.array(table.channels)
     if table.wavelengths_nm is not None:
         arrays[prefix + "wavelengths_nm"] = np.array(table.wavelengths_nm)
@@ -127,12 +134,7 @@ def _table(arrays: dict[str, NDArray], path: Path, prefix: str) -> Table:
     for name in _NEEDED:
         if prefix + name not in arrays:
             raise InputError(f"{path}: array {prefix[:80]}{name} is missing; {', '.join(_NEEDED)} are needed")
-    fields: dict[str, Any] = {}
-    for name in (*_ARRAYS, "wavelengths_nm"):
-        if (array := arrays.get(prefix + name)) is not None:
-            if array.dtype.kind == "U":
-                raise InputError(f"{path}: array {prefix[:80]}{name} holds text; numbers are expected")
-            fields[name] = array
+    fields: dict[str, Any] = _numbers(arrays, path, prefix, (*_ARRAYS, "wavelengths_nm"))
     if "wavelengths_nm" in fields:
         fields["wavelengths_nm"] = tuple(np.ravel(fields["wavelengths_nm"]).tolist())
     fields["channels"] = tuple(_text(arrays, f"{prefix}channels", path))
@@ -148,10 +150,26 @@ def _table(arrays: dict[str, NDArray], path: Path, prefix: str) -> Table:
     start = f"{prefix}parts/"
     names = dict.fromkeys(n[len(start) :].split("/")[0] for n in arrays if n.startswith(start))
     fields["parts"] = {name: _table(arrays, path, f"{start}{name}/") for name in names}
+    peak = _numbers(arrays, path, f"{prefix}peak/", _PEAK)
     try:
+        if peak:
+            if missing := [name for name in _PEAK[:3] if name not in peak]:
+                raise InputError(f"array peak/{missing[0]} is missing; write the file again")
+            fields["peak"] = Peak(**peak)
         return Table(**fields)
     except InputError as error:
         raise InputError(f"{path}: {prefix[:80]}{error}") from error
+
+
+def _numbers(
+    arrays: dict[str, NDArray], path: Path, prefix: str, names: tuple[str, ...]
+) -> dict[str, NDArray]:
+    """Those arrays of numbers that are there, by their names without the prefix."""
+    found = {name: arrays[prefix + name] for name in names if prefix + name in arrays}
+    for name, array in found.items():
+        if array.dtype.kind == "U":
+            raise InputError(f"{path}: array {prefix[:80]}{name} holds text; numbers are expected")
+    return found
 
 
 def _text(arrays: dict[str, NDArray], name: str, path: Path) -> list[str]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from gonio.formats.points import table_from_points
 from gonio.formats.samples import Samples
-from gonio.formats.text import to_numbers
+from gonio.formats.text import content, to_numbers
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -48,7 +48,7 @@ def samples_of(path: Path) -> dict[str, Samples]:
 
 def _read(path: Path) -> tuple[Samples, dict[str, Any]]:
     """The samples, and the other arguments of `table_from_points`."""
-    text = path.read_bytes().decode("utf-8", "replace")
+    text = content(path).decode("utf-8", "replace")
     lines = [line for line in text.splitlines() if line.strip()]
     names = [name.strip().lower() for name in lines[0].split(",")] if lines else []
     if tuple(names[:2]) != _ANGLES or len(names) < 3:

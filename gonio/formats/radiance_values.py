@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 
 LEVELS = 6  # of a tree that is written: 64 cells an axis
 _TOLERANCE = 0.02
+_INCIDENT, _OUTGOING, _SECTORS = 4, 20, 360  # angles of each ring of a matrix, and steps of delta phi
 
 
 def _rgb_to_xyz() -> Array:
@@ -30,16 +31,8 @@ XYZ = _rgb_to_xyz()
 
 def matrix_texts(table: Table) -> dict[str, str]:
     """ScatteringData of a table by kind of wavelength."""
-    basis = Klems(FULL)
+    matrix = _matrix(table)
     n_channels = len(table.channels)
-    matrix = np.empty((basis.size, basis.size, n_channels))
-    points = [basis.points(patch, 3, 3) for patch in range(basis.size)]
-    wo = np.stack([direction(*p) for p in points])
-    for incident in range(basis.size):
-        theta, phi = basis.points(incident, 3, 3)
-        wi = direction(theta, phi + np.pi)
-        # every point of the incident patch with every point of the outgoing ones
-        matrix[:, incident] = np.mean([table.eval(w, wo).mean(axis=1) for w in wi], axis=0)
     if n_channels == 1:
         planes = {"Visible": matrix[..., 0]}
     else:
@@ -51,8 +44,71 @@ def matrix_texts(table: Table) -> dict[str, str]:
     }
 
 
+def _matrix(table: Table) -> Array:
+    """Means of f over pairs of patches, shape (outgoing, incident, C)."""
+    basis = Klems(FULL)
+    # the cells hold the light of a highlight as well, and patches are wider
+    table = table.replace(peak=None)
+    rings = [
+        np.arcsin(np.sqrt(u)) for u in (_middles(basis.edges, _INCIDENT), _middles(basis.edges, _OUTGOING))
+    ]
+    delta_phi = (np.arange(_SECTORS) + 0.5) * (np.pi / _SECTORS)
+    wo = direction(rings[1][:, :, None], delta_phi)
+    matrix = np.empty((basis.size, basis.size, len(table.channels)))
+    for a, theta_i in enumerate(rings[0]):
+        # means over polar angles, by outgoing ring
+        f = np.mean([table.eval(direction(theta), wo).mean(axis=1) for theta in theta_i], axis=0)
+        for b in range(len(basis.counts)):
+            block = _over_azimuths(f[b], *(basis.azimuths(ring) for ring in (b, a)))
+            matrix[basis.first[b] : basis.first[b + 1], basis.first[a] : basis.first[a + 1]] = block
+    return matrix
+
+
+def _middles(edges: Array, n: int) -> Array:
+    """sin^2 of n angles in each ring, of equal projected solid angle; shape (rings, n)."""
+    u = np.sin(edges) ** 2
+    return u[:-1, None] + (np.arange(n) + 0.5) / n * np.diff(u)[:, None]
+
+
+def _over_azimuths(f: Array, outgoing: Array, incident: Array) -> Array:
+    """Exact means over pairs of intervals of azimuth of what is constant in equal intervals of |delta phi|.
+
+    Parameters
+    ----------
+    f : ndarray, shape (_SECTORS, C)
+    outgoing, incident : ndarray
+        Middles of equal patches of a ring; the incident ones of the directions in which light travels.
+
+    Returns
+    -------
+    ndarray, shape (outgoing, incident, C)
+    """
+    around = np.concatenate([f, f[::-1]])
+    # twice the integral from 0, at the nodes of three turns, between which it is a parabola
+    step = np.pi / _SECTORS
+    once = step * np.cumsum(np.concatenate([np.zeros_like(around[:1]), np.tile(around, (3, 1))]), axis=0)
+    twice = step * np.cumsum(np.concatenate([0 * once[:1], 0.5 * (once[1:] + once[:-1])]), axis=0)
+
+    def integral(x: Array) -> Array:
+        at = x / step
+        low = np.clip(at.astype(int), 0, len(once) - 2)
+        t = ((at - low) * step)[..., None]
+        return twice[low] + t * (once[low] + 0.5 * t * (once[low + 1] - once[low]) / step)
+
+    w_o, w_i = (2 * np.pi / len(patches) for patches in (outgoing, incident))
+    # the light comes from opposite to where it travels; the middle one of the turns
+    apart = (outgoing[:, None] - incident - np.pi) % (2 * np.pi) + 2 * np.pi
+    wide, narrow = 0.5 * (w_o + w_i), 0.5 * (w_o - w_i)
+    total = (
+        integral(apart + wide) - integral(apart + narrow) - integral(apart - narrow) + integral(apart - wide)
+    )
+    return total / (w_o * w_i)
+
+
 def tree_texts(table: Table) -> dict[str, str]:
     """ScatteringData of a table by kind of wavelength."""
+    # the cells hold the light of a highlight as well, and points of the grid would miss it
+    table = table.replace(peak=None)
     n = 2**LEVELS
     centre = (np.arange(2 * n) + 0.5) / (2 * n)
     n_channels = len(table.channels)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gonio.files import atomic
 from gonio.formats.cells import average_cells, row_centres, table_of, uniform_grid
-from gonio.formats.colour import check_colour
+from gonio.formats.colour import as_colour
 from gonio.formats.klems import BASES, Klems
 from gonio.formats.losses import common_losses
 from gonio.formats.radiance_document import document
@@ -28,7 +28,7 @@ from gonio.formats.radiance_values import LEVELS, XYZ, matrix_texts, tree_texts
 from gonio.formats.samples import Samples
 from gonio.formats.tensor_tree import TensorTree, coordinates, directions
 from gonio.formats.text import to_numbers
-from gonio.table.parts import TRANSMISSION
+from gonio.table.parts import TRANSMISSION, is_transmission
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -127,7 +127,8 @@ def write(table: Table, path: Path) -> list[str]:
     Parameters
     ----------
     table : Table
-        Of one channel, or three, taken as R, G, B. Its part "transmission" is written as well.
+        Of one channel, or three, taken as R, G, B. Its part "transmission" is written as well; a table of
+        transmission (``--part transmission`` or a part of it) is written as that.
     path : Path
 
     Returns
@@ -142,9 +143,9 @@ def write(table: Table, path: Path) -> list[str]:
     OSError
         The file cannot be written.
     """
-    check_colour(table, path, "a WINDOW file")
+    table = as_colour(table, path, "a WINDOW file")
     tree = path.name.lower().endswith(".tree.xml")
-    sides = {"Reflection Front": table}
+    sides = {"Transmission Front" if is_transmission(table) else "Reflection Front": table}
     if TRANSMISSION in table.parts:
         sides["Transmission Front"] = table.parts[TRANSMISSION]
     data: dict[str, list[tuple[str, str]]] = {}
@@ -153,7 +154,7 @@ def write(table: Table, path: Path) -> list[str]:
             data.setdefault(kind, []).append((where, text))
     with atomic(path) as temporary:
         temporary.write_text(document(path.name, tree, data), encoding="utf-8")
-    losses = common_losses(table, "this format", keeps=("transmission",))
+    losses = common_losses(table, "this format", keeps=("transmission", "side"))
     grid = f"1/{2**LEVELS} of the square" if tree else "the 145 patches of Klems, 10 degrees and more"
     return [*losses, f"what is finer than {grid}", "provenance, ledger and the grid of the rows"]
 

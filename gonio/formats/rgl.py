@@ -17,7 +17,6 @@ are those of the table with light and detector exchanged; under light from every
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 
 from gonio.core.directions import direction
 from gonio.formats.cells import average_cells, row_centres, table_of, uniform_grid
-from gonio.formats.colour import RGB_TO_XYZ, check_colour
+from gonio.formats.colour import RGB_TO_XYZ, as_colour, reordered
 from gonio.formats.highlights import Brdf, resolved
 from gonio.formats.losses import common_losses
 from gonio.formats.rgl_tensors import N_THETA_I, tensors_of, to_unit
@@ -114,44 +113,31 @@ def write(table: Table, path: Path) -> list[str]:
     Raises
     ------
     InputError
-        Channels that are neither colours nor wavelengths, or a table that reflects nothing.
+        Channels that are neither colours nor wavelengths, a wavelength twice, or a table that reflects nothing.
     OSError
         The file cannot be written.
     """
     if table.wavelengths_nm is None:
-        check_colour(table, path, "an RGL file without wavelengths")
-    ordered = table
-    if table.wavelengths_nm is not None and not np.all(np.diff(table.wavelengths_nm) > 0):
-        ordered = _select(table, np.argsort(table.wavelengths_nm))
+        table = as_colour(table, path, "an RGL file without wavelengths")
+    if table.wavelengths_nm is not None:
+        table = reordered(table, np.argsort(table.wavelengths_nm, kind="stable"))
+        wavelengths = np.array(table.wavelengths_nm, np.float32)
+        same = np.diff(wavelengths) <= 0
+        if same.any():
+            raise InputError(
+                f"{path}: two channels of {wavelengths[:-1][same][0]:g} nm; an RGL file holds each wavelength once"
+            )
     if not np.any(table.row_albedo - table.specular > 0):
         raise InputError(
             f"{path}: the table reflects nothing but its delta term; an RGL file cannot hold that"
         )
-    fields = tensors_of(ordered)
+    fields = tensors_of(table)
     write_tensors(path, fields)
-    losses = common_losses(table, "RGL", keeps=("wavelengths",))
+    losses = common_losses(table, "RGL", keeps=("wavelengths", "peak"))
     if len(table.channels) == 1 and table.wavelengths_nm is None:
         losses.append("nothing of the one channel: it is written as R, G and B")
     losses.append(f"rows of incidence other than {N_THETA_I} from 0 to 90 degrees: they are interpolated")
     return [*losses, "provenance, ledger and the grid of the rows"]
-
-
-def _select(table: Table, order: NDArray[np.int64]) -> Table:
-    """The table with its channels in another order, without its parts."""
-    assert table.wavelengths_nm is not None
-    peak = table.peak
-    return table.replace(
-        values=table.values[..., order],
-        channels=tuple(table.channels[n] for n in order),
-        wavelengths_nm=tuple(table.wavelengths_nm[n] for n in order),
-        row_albedo=table.row_albedo[:, order],
-        albedo_std_error=table.albedo_std_error[:, order],
-        specular=table.specular[:, order],
-        specular_std_error=table.specular_std_error[:, order],
-        std_error=None if table.std_error is None else table.std_error[..., order],
-        peak=None if peak is None else replace(peak, values=peak.values[..., order], std_error=None),
-        parts={},
-    )
 
 
 # --- the mapping ---------------------------------------------------------------------------------------

@@ -14,7 +14,11 @@ Array = NDArray[np.float64]
 N_THETA_I = 19
 _VNDF = 128
 _NODES = 64  # of the spectra; 32 as in RGL's own files leave twice the error
-_EVEN = 0.7  # share of the normals spread evenly over sqrt(theta)
+_EVEN, _EVEN_NARROW = (
+    0.7,
+    0.3,
+)  # share of the normals spread evenly over sqrt(theta); of a highlight with its own grid
+_GRAZING = np.radians(89.5)
 _POLE = np.radians(2.0)  # down to about this theta
 
 
@@ -41,7 +45,8 @@ def tensors_of(table: Table) -> dict[str, NDArray]:
     two_rows = np.stack([ndf, ndf]).astype(np.float32)
     areas = np.stack([sigma, sigma]).astype(np.float32)
     for n, angle in enumerate(theta_i):
-        wi = direction(angle)
+        # no row stands at the horizon, and a highlight continued to there would hold more light than falls in
+        wi = direction(angle if table.peak is None else min(angle, _GRAZING))
         density = ndf * np.maximum(m @ wi, 0) * jacobian
         vndf[n] = density / density.max()
         x, y = Warp(vndf[n].astype(float)).sample(sx, sy)
@@ -95,11 +100,26 @@ def _normals(table: Table, theta: Array) -> Array:
     seen = count > 0
     centres = 0.5 * (edges[1:] + edges[:-1])
     estimate = np.interp(theta, centres[seen], total[seen] / count[seen])
+    share = _EVEN
+    if table.peak is not None:
+        share = _EVEN_NARROW
+        estimate = np.where(
+            np.tan(theta) < table.peak.extent, _narrow_normals(table, np.tan(theta)), estimate
+        )
     even = (theta**2 + _POLE**2) ** -0.75
     area = np.sin(2 * theta) * np.pi
-    return (1 - _EVEN) * estimate / np.trapezoid(estimate * area, theta) + _EVEN * even / np.trapezoid(
-        even * area, theta
-    )
+    narrow, wide = (part / np.trapezoid(part * area, theta) for part in (estimate, even))
+    return (1 - share) * narrow + share * wide
+
+
+def _narrow_normals(table: Table, slope: Array) -> Array:
+    """The same of a highlight on a grid of its own, at slopes tan(theta): 4 cos cos f is g; slopes are small."""
+    assert table.peak is not None
+    rows = np.sin(2 * table.theta_i)
+    known = np.maximum(table.peak.values.mean(axis=-1), 0.0)
+    g = np.einsum("isq,i,q->s", known, rows / rows.sum(), np.diff(table.peak.psi_edges) / np.pi)
+    edges = table.peak.slope_edges
+    return np.interp(slope, np.sqrt(0.5 * (edges[1:] ** 2 + edges[:-1] ** 2)), g)
 
 
 def _projected_area(theta: Array, ndf: Array) -> Array:

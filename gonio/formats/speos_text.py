@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.formats.text import angles, to_numbers
+from gonio.formats.text import angles, content, to_numbers
 from gonio.table.parts import TRANSMISSION
 from microgeometry.errors import InputError
 
@@ -40,7 +40,7 @@ class Lines:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.text = path.read_bytes().decode("latin-1").replace("\r\n", "\n")
+        self.text = content(path).decode("latin-1").replace("\r\n", "\n")
         self.at = 0
 
     def line(self, what: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +12,11 @@ from numpy.typing import NDArray
 from microgeometry.errors import InputError
 
 Array = NDArray[np.float64]
+
+
+def content(path: Path) -> bytes:
+    """All of a text file but the mark of UTF-8 that spreadsheets and Windows' editors put in front."""
+    return path.read_bytes().removeprefix(codecs.BOM_UTF8)
 
 
 class Words:
@@ -25,7 +31,7 @@ class Words:
 
     def __init__(self, path: Path, comment: str = "#") -> None:
         self.path = path
-        lines = path.read_bytes().decode("latin-1").splitlines()
+        lines = content(path).decode("latin-1").splitlines()
         if comment:
             self.comments = [line for line in lines if line.lstrip().startswith(comment)]
             lines = [line for line in lines if not line.lstrip().startswith(comment)]
@@ -65,19 +71,19 @@ class Words:
         return int(number)
 
 
-def to_numbers(words: Sequence[str], what: str, path: Path) -> Array:
-    """Words as finite numbers.
+def to_numbers(words: Sequence[str], what: str, path: Path, infinite: bool = False) -> Array:
+    """Words as finite numbers, or `infinite` ones too.
 
     Raises
     ------
     InputError
-        One is no number, NaN or infinite.
+        One is no number or not allowed.
     """
     try:
         found = np.array(words, dtype=float)
     except ValueError as error:
         raise InputError(f"{path}: {what}: {str(error)[:80]}; numbers are expected") from error
-    if not np.all(np.isfinite(found)):
+    if np.any(np.isnan(found)) or not (infinite or np.all(np.isfinite(found))):
         raise InputError(f"{path}: {what} holds NaN or infinity; finite numbers are expected")
     return found
 

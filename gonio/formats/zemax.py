@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 from gonio.core.directions import direction, projected_solid_angles
 from gonio.files import atomic
 from gonio.formats.cells import average_cells, check_size, justified_bytes, table_of
-from gonio.formats.colour import RGB_TO_XYZ, XYZ_TO_RGB, check_colour
+from gonio.formats.colour import RGB_TO_XYZ, XYZ_TO_RGB, as_colour
 from gonio.formats.grid import close_circle, interpolate
 from gonio.formats.losses import common_losses, stated_reflectance
 from gonio.formats.samples import Samples
 from gonio.formats.text import Words, angles
-from gonio.table.parts import TRANSMISSION
+from gonio.table.parts import TRANSMISSION, is_transmission
 from gonio.table.table import Table
 from microgeometry.errors import InputError
 
@@ -112,7 +112,7 @@ def write(table: Table, path: Path) -> list[str]:
     ----------
     table : Table
         Of one channel, or three, taken as linear sRGB and written as tristimulus values. A table of
-        transmission (``--part transmission``) is written as a BTDF.
+        transmission (``--part transmission`` or a part of it) is written as a BTDF.
     path : Path
 
     Returns
@@ -128,8 +128,8 @@ def write(table: Table, path: Path) -> list[str]:
         The file cannot be written.
     """
     n_channels = len(table.channels)
-    check_colour(table, path, "a Zemax file")
-    transmits = str(table.provenance.get("part", "")).endswith(TRANSMISSION)
+    table = as_colour(table, path, "a Zemax file")
+    transmits = is_transmission(table)
     names = _CHANNELS["monochrome" if n_channels == 1 else "xyz"]
     lines = [
         "# BSDF table converted by gonio; values in 1/sr, angles about the specular direction",
@@ -158,7 +158,7 @@ def write(table: Table, path: Path) -> list[str]:
         lines.append("DataEnd")
     with atomic(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n")
-    losses = common_losses(table, "Zemax")
+    losses = common_losses(table, "Zemax", keeps=("side", "peak", "rows"))
     if table.theta_i_edges is not None:
         losses.append("the width of the rows of incidence: their middles are written as exact angles")
     return [

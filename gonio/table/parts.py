@@ -52,6 +52,11 @@ def walk(table: AnyTable, path: str = "") -> Iterator[tuple[str, AnyTable]]:
         yield from walk(part, f"{path}{name}/")
 
 
+def is_transmission(table: Table | AnisotropicTable) -> bool:
+    """Whether a table of its own is (a part of) the transmission of another, as `extract` makes it."""
+    return TRANSMISSION in str(table.provenance.get("part", "")).split("/")
+
+
 def extract(table: AnyTable, path: str) -> AnyTable:
     """A part as a table of its own, which says in its provenance which part of what it is.
 

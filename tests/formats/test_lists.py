@@ -13,6 +13,7 @@ from gonio import formats
 from gonio.core.directions import direction
 from gonio.formats.cells import cells_around
 from gonio.table.checks import check
+from gonio.table.peak import Peak
 from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
@@ -116,11 +117,65 @@ def test_npz_keeps_everything(tmp_path):
     assert_same(table, Table.load(tmp_path / "t.npz"))
 
 
+def test_npz_keeps_the_highlight(tmp_path):
+    rng = np.random.default_rng(seed_from("npz peak"))
+    table = make(asymmetric, grid(6, 7, 8))
+    edges = np.array([0, 0.01, 0.03]), np.linspace(0, np.pi, 5)
+    for error in (None, rng.random((6, 2, 4, 3))):
+        peak = Peak(rng.random((6, 2, 4, 3)), *edges, error)
+        part = table.replace(peak=peak)
+        assert part.replace(parts={"transmission": part}).save(tmp_path / "t.npz") == []
+        again = Table.load(tmp_path / "t.npz")
+        for found in (again.peak, again.parts["transmission"].peak):
+            for name in Peak.__dataclass_fields__:
+                np.testing.assert_array_equal(getattr(found, name), getattr(peak, name), err_msg=name)
+    rewrite(tmp_path / "t.npz", {"peak/psi_edges.npy": None})
+    refused(tmp_path / "t.npz", "array peak/psi_edges is missing")
+
+
+def test_csv_that_could_not_be_read_is_not_written(tmp_path):
+    table = make(asymmetric, grid(90, 90, 90))
+    gaps = np.ones(table.values.shape[:3], bool)
+    gaps[:, 0, :3] = False
+    path = tmp_path / "t.csv"
+    for bad, message in (
+        (table.replace(channels=("a", "b", "a")), "of one name"),
+        (table.replace(gaps=gaps), "270 of 729000 cells are no gaps"),
+    ):
+        with pytest.raises(InputError, match=message):
+            bad.save(path)
+        assert not list(tmp_path.iterdir())
+
+
+def test_csv_of_unknown_error_bars(tmp_path):
+    table = make(asymmetric, grid(4, 4, 5))
+    error = 0.1 * table.values
+    error[1, 2, 3, 0] = np.inf
+    table.replace(std_error=error).save(tmp_path / "t.csv")
+    np.testing.assert_allclose(Table.load(tmp_path / "t.csv").std_error, error, rtol=1e-8)
+
+
+def test_truncated_csv(tmp_path):
+    """Wherever it was cut: between lines cells are missing, in the last number a digit is."""
+    table = make(asymmetric, grid(4, 4, 5))
+    path = tmp_path / "t.csv"
+    table.save(path)
+    whole = path.read_bytes()
+    between = whole[:-1].rfind(b"\n") + 1
+    for n in (between, between - 1, len(whole) - 1, len(whole) - 3):
+        path.write_bytes(whole[:n])
+        refused(path, "lines of cells, its line # lines says 80; it is truncated")
+    path.write_bytes(whole)
+    np.testing.assert_allclose(Table.load(path).values, table.values, rtol=1e-8)
+
+
 CSV_DAMAGE = {
     "empty": ("", "empty"),
     "no angle": ("theta_i_deg,theta_r_deg,Y\n1,2,3\n", "0 columns delta_phi_deg"),
     "no channel": ("theta_i_deg,theta_r_deg,delta_phi_deg\n1,2,3\n", "columns of values"),
     "word": ("theta_i_deg,theta_r_deg,delta_phi_deg,Y\n1,2,3,x\n", "numbers are expected"),
+    "infinite": ("theta_i_deg,theta_r_deg,delta_phi_deg,Y\n1,2,3,inf\n", "hold infinity"),
+    "nan": ("theta_i_deg,theta_r_deg,delta_phi_deg,Y,Y_std_error\n1,2,3,4,nan\n", "NaN"),
     "short": ("theta_i_deg,theta_r_deg,delta_phi_deg,Y\n1,2,3\n", "other than 4 columns"),
     "nothing": ("theta_i_deg,theta_r_deg,delta_phi_deg,Y\n", "no samples"),
     "below": ("theta_i_deg,theta_r_deg,delta_phi_deg,Y\n1,120,3,4\n", "0 to 90 is allowed"),

@@ -15,7 +15,7 @@ from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
 from tests.formats.damage import refused
-from tests.table.tables import grid, make, with_parts
+from tests.table.tables import grid, lambert, make, with_parts
 
 slow_in_python = pytest.mark.compiled
 
@@ -166,6 +166,29 @@ def test_gaps(tmp_path):
     assert not table.gaps[70, 70, 0]
     assert table.values[70, 70, -1, 0] == 0
     np.testing.assert_allclose(table.values[~table.gaps], 0.1, rtol=1e-12)
+
+
+@slow_in_python
+@pytest.mark.compiled
+def test_gaps_are_written_as_no_data(tmp_path):
+    """Only light from below 45 degrees was measured: bins that know one way hold it, those that know none, no data."""
+    table = make(lambert, grid(90, 30, 36))
+    gaps = np.broadcast_to((table.theta_i > np.radians(45))[:, None, None], table.values.shape[:3])
+    values = np.where(gaps[..., None], 0.0, table.values)
+    table = table.replace(values=values, gaps=gaps, row_albedo=table.row_albedo * ~gaps[:, 0, :1])
+    lost = table.save(tmp_path / "gaps.binary")
+    assert not any("gaps" in line for line in lost)
+    stored = np.fromfile(tmp_path / "gaps.binary", "<f8", offset=12).reshape(3, -1)[0] * merl.FACTORS[0]
+    wi, wo = merl.bin_directions()
+    steep, flat = (f(wi[:, 2], wo[:, 2]) for f in (np.maximum, np.minimum))
+    assert np.all(stored[steep < np.cos(np.radians(45))] < 0)
+    # between the rows at 44.5 and 45.5 degrees the table falls to 0
+    between = np.abs(np.degrees(np.arccos(np.clip(np.stack([steep, flat]), 0, 1))) - 45) < 0.6
+    known = (flat > 0) & (steep > np.cos(np.radians(45))) & ~between.any(axis=0)
+    np.testing.assert_allclose(stored[known], 0.5 / np.pi, rtol=1e-6)
+    again = Table.load(tmp_path / "gaps.binary")
+    assert np.all(again.gaps[60:, 60:])
+    assert not np.any(again.gaps[:30, :30])
 
 
 @pytest.mark.parametrize(

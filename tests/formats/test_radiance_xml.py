@@ -10,6 +10,7 @@ import pytest
 from gonio import formats
 from gonio.core.directions import direction
 from gonio.formats.klems import BASES, Klems
+from gonio.formats.radiance_values import matrix_texts
 from gonio.formats.tensor_tree import (
     TensorTree,
     coordinates,
@@ -23,7 +24,7 @@ from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
 from tests.formats.damage import refused
-from tests.table.tables import asymmetric, grid, lambert, make, with_parts
+from tests.table.tables import asymmetric, ggx, grid, lambert, make, with_parts
 
 HEAD = '<?xml version="1.0"?><WindowElement xmlns="http://windows.lbl.gov"><Optical><Layer><DataDefinition>'
 
@@ -151,6 +152,20 @@ def test_octants_that_are_alike_are_joined():
     tree = TensorTree(tree_text(cube, 0.01), None)
     assert len(tree.values) == 7 + 7 + 8
     assert tree.look_up(np.array([[0.01, 0.01, 0.99], [0.99, 0.01, 0.01]])).tolist() == [2.0, 1.0]
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("alpha", [0.3, 0.03])
+def test_matrix_keeps_the_light_of_narrow_lobes(alpha):
+    """A patch of 10 degrees sends out what the table does, averaged over it, however narrow the lobe."""
+    table = make(ggx(alpha, 0.8), grid(90, 90, 180), tint=(1.0,), cell_points=4)
+    basis = Klems("LBNL/Klems Full")
+    matrix = np.array([line.split(",")[:-1] for line in matrix_texts(table)["Visible"].splitlines()], float)
+    rings = np.repeat(np.arange(9), basis.counts)
+    u = np.sin(basis.edges) ** 2
+    areas = (np.pi * np.diff(u) / basis.counts)[rings]
+    inside = np.arcsin(np.sqrt(u[:-1, None] + np.linspace(0.05, 0.95, 10) * np.diff(u)[:, None]))
+    np.testing.assert_allclose(areas @ matrix, table.albedo(inside).mean(axis=(1, 2))[rings], rtol=0.01)
 
 
 @pytest.mark.compiled

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gonio import formats
-from gonio.bench.peak import tabulated
 from gonio.core.directions import direction
 from gonio.formats import rgl
+from gonio.formats.colour import reordered
+from gonio.formats.highlights import resolved
 from gonio.formats.tensor_file import MAGIC, read_tensors, write_tensors
 from gonio.formats.warp import Warp, bilinear
-from gonio.table.peak import grid_of
+from gonio.table.peak import Peak
 from gonio.table.table import Table
 from gonio.validation import seed_from
 from microgeometry.errors import InputError
 from tests.formats.damage import refused
 from tests.formats.mitsuba3 import evaluate, needs_mitsuba
+from tests.formats.test_highlights import metal, sampled
 from tests.table.tables import asymmetric, ggx, grid, lambert, make, with_parts
 
 
@@ -105,6 +106,46 @@ def test_mitsuba_evaluates_spectra(tmp_path):
     assert again.wavelengths_nm == (450.0, 550.0, 600.0, 650.0)
 
 
+@pytest.mark.compiled
+def test_wavelengths_in_any_order(tmp_path):
+    """From red to blue: the same file as from blue to red, the same losses, and the error of its values."""
+    rng = np.random.default_rng(seed_from("rgl order"))
+    table = with_parts(make(ggx(0.3), grid(20, 20, 24)))
+    peak = Peak(10 * rng.random((20, 3, 4, 3)), np.array([0, 0.05, 0.1, 0.2]), np.linspace(0, np.pi, 5))
+    names = ("630 nm", "532 nm", "467 nm")
+    down = table.replace(
+        peak=peak,
+        std_error=0.1 * table.values,
+        wavelengths_nm=(630.0, 532.0, 467.0),
+        channels=names,
+        parts={n: p.replace(wavelengths_nm=(630.0, 532.0, 467.0), channels=names) for n, p in table.parts.items()
+               if n != "transmission"},
+    )  # fmt: skip
+    up = reordered(down, np.array([2, 1, 0]))
+    np.testing.assert_array_equal(up.values, down.values[..., ::-1])
+    down.save(tmp_path / "down.h5")
+    up.save(tmp_path / "up.h5")
+    found = {
+        name: formats.convert(tmp_path / f"{name}.h5", tmp_path / f"{name}.bsdf") for name in ("down", "up")
+    }
+    assert (tmp_path / "down.bsdf").read_bytes() == (tmp_path / "up.bsdf").read_bytes()
+    assert found["down"].lost == found["up"].lost
+    assert any("L1" in line for line in found["down"].lost)
+    assert found["down"].error == pytest.approx(found["up"].error)
+    down.replace(peak=None).save(tmp_path / "plain.h5")
+    plain = formats.convert(tmp_path / "plain.h5", tmp_path / "plain.bsdf")
+    assert plain.error < 0.02
+    assert plain.albedo_error < 0.01
+
+
+@pytest.mark.compiled
+def test_one_wavelength_twice(tmp_path):
+    table = make(lambert, grid(6, 6, 8)).replace(wavelengths_nm=(450.0, 550.0, 450.0))
+    with pytest.raises(InputError, match="two channels of 450 nm"):
+        table.save(tmp_path / "t.bsdf")
+    assert not (tmp_path / "t.bsdf").exists()
+
+
 @needs_mitsuba
 def test_we_evaluate_real_files_as_mitsuba_does(real_data, tmp_path):
     path = real_data / "rgl" / "aurora_white_rgb.bsdf"
@@ -145,6 +186,49 @@ def test_real_file_round_trip(real_data, tmp_path):
 
 
 @pytest.mark.compiled
+@pytest.mark.parametrize("alpha", [0.02, 0.005])
+def test_narrow_highlight(alpha, tmp_path):
+    """Narrower than the table's cells, on a grid of its own: the file's nodes are where its light is."""
+    table = resolved(sampled(metal(alpha)), metal(alpha))
+    assert table.peak is not None
+    table.save(tmp_path / "narrow.bsdf")
+    fields = rgl._check(read_tensors(tmp_path / "narrow.bsdf"), tmp_path)
+    rng = np.random.default_rng(seed_from("narrow"))
+    for theta_i in np.radians([10, 30, 50, 65]):  # nodes of the file
+        wi = np.broadcast_to(direction(theta_i), (20_000, 3))
+        wo, density = table.sample(wi, rng.random((20_000, 3)))
+        wi, wo, density = wi[density > 0], wo[density > 0], density[density > 0, None]
+        phi = np.arctan2(wo[:, 1], wo[:, 0])
+        found = rgl._evaluate(fields, theta_i, np.arccos(np.minimum(wo[:, 2], 1)), phi).T
+        expected = table.eval(wi, wo) * wo[:, 2:]
+        assert np.mean(found / density) == pytest.approx(np.mean(expected / density), rel=0.01)
+        rms = np.sqrt(np.mean((found - expected) ** 2 / density) / np.mean(expected**2 / density))
+        assert rms < 0.1
+
+
+@pytest.mark.compiled
+def test_narrow_highlight_of_grazing_light(tmp_path):
+    """Between the file's last two angles, 85 and 90 degrees, no more light than the table has in either row."""
+    table = resolved(sampled(metal(0.005), 90), metal(0.005))
+    assert table.peak is not None
+    table.save(tmp_path / "narrow.bsdf")
+    fields = rgl._check(read_tensors(tmp_path / "narrow.bsdf"), tmp_path)
+    rng = np.random.default_rng(seed_from("grazing"))
+    for theta_i in np.radians([86.5, 87.5, 88.5, 89.5]):
+        wi = np.broadcast_to(direction(theta_i), (20_000, 3))
+        u = rng.random((20_000, 3))
+        wo = np.concatenate(
+            [table.sample(wi, u)[0], direction(np.arcsin(np.sqrt(u[:, 0])), 2 * np.pi * u[:, 1])]
+        )
+        wo = wo[wo[:, 2] > 1e-6]
+        density = table.pdf(direction(theta_i), wo) + wo[:, 2] / np.pi
+        phi = np.arctan2(wo[:, 1], wo[:, 0])
+        found = rgl._evaluate(fields, theta_i, np.arccos(wo[:, 2]), phi).mean(axis=0)
+        albedo = np.sum(found / density) / 20_000
+        assert 0.5 < albedo / table.albedo(theta_i)[0] < 1.5
+
+
+@pytest.mark.compiled
 def test_round_trip_and_losses(tmp_path):
     table = with_parts(make(asymmetric, grid(30, 30, 40), specular=0.05))
     table = table.replace(std_error=0.1 * table.values, wavelengths_nm=None)
@@ -157,26 +241,6 @@ def test_round_trip_and_losses(tmp_path):
     assert median < 0.02
     assert albedo < 0.01
     assert worst < 0.1
-
-
-@pytest.mark.compiled
-def test_wavelengths_out_of_order_keep_the_highlight(tmp_path):
-    grey, tint = tabulated(0.02, np.arange(0, 91, 15), grid_of([0.02], 1.0)), np.array([1.0, 0.5])
-
-    def write(name, order):
-        table = grey.replace(
-            **{field: getattr(grey, field) * tint[order] for field in ("values", "row_albedo", "specular")},
-            **dict.fromkeys(("albedo_std_error", "specular_std_error"), np.zeros(())),
-            channels=("a", "b"),
-            wavelengths_nm=np.array([450.0, 650.0])[order],
-            peak=replace(grey.peak, values=grey.peak.values * tint[order]),
-        )
-        assert any("fine grid of the highlight" in line for line in table.save(tmp_path / name))
-        return read_tensors(tmp_path / name)
-
-    one, other = write("decreasing.bsdf", [1, 0]), write("increasing.bsdf", [0, 1])
-    for name in ("vndf", "luminance", "spectra", "wavelengths"):
-        np.testing.assert_allclose(one[name], other[name], rtol=0.01, atol=1e-9)
 
 
 @pytest.mark.compiled
