@@ -134,6 +134,11 @@ def write(table: Table, path: Path) -> list[str]:
         "values between MERL's bins: theta_h is resolved to 0.01 degree at the peak and 2 degrees at 90",
         "differences between light and detector exchanged: MERL holds their mean",
         *common_losses(table, "MERL", keeps=("gaps", "peak")),
+        *(
+            ["negative values, colours outside the gamut: they are written as 0"]
+            if table.values.min() < 0
+            else []
+        ),
         *(["nothing of the one channel: it is written as R, G and B"] if len(table.channels) == 1 else []),
         "provenance, ledger and the grid of the rows",
     ]

@@ -14,10 +14,8 @@ Array = NDArray[np.float64]
 N_THETA_I = 19
 _VNDF = 128
 _NODES = 64  # of the spectra; 32 as in RGL's own files leave twice the error
-_EVEN, _EVEN_NARROW = (
-    0.7,
-    0.3,
-)  # share of the normals spread evenly over sqrt(theta); of a highlight with its own grid
+_EVEN, _EVEN_NARROW = 0.7, 0.3
+"""Share of the normals spread evenly over sqrt(theta), and that for a highlight on a grid of its own."""
 _GRAZING = np.radians(89.5)
 _POLE = np.radians(2.0)  # down to about this theta
 

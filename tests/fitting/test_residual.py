@@ -52,7 +52,7 @@ def test_what_it_does_not_explain_is_in_the_residual(tmp_path, max_error):
     decoded = Table.load(tmp_path / "c.h5")
     assert row_errors(table, decoded.values).max() <= max_error
     np.testing.assert_allclose(
-        np.einsum("irpc,rp->ic", decoded.values, table.projected_solid_angles), table.row_albedo, rtol=1e-12
+        np.einsum("irpc,rp->ic", decoded.values, table.projected_solid_angles), decoded.row_albedo, rtol=1e-12
     )
 
 

@@ -144,6 +144,16 @@ def test_write_one_channel_and_refuse_two(tmp_path):
     assert not (tmp_path / "two.binary").exists()
 
 
+@slow_in_python
+@pytest.mark.compiled
+def test_colours_outside_the_gamut_are_not_no_data(tmp_path):
+    lost = make(sideways, grid(6, 6, 6), tint=(1.0, 0.5, -0.1)).save(tmp_path / "cyan.binary")
+    assert any("outside the gamut" in line for line in lost)
+    assert Table.load(tmp_path / "cyan.binary").gaps is None
+    stored = np.fromfile(tmp_path / "cyan.binary", "<f8", offset=12).reshape(3, -1)
+    assert np.all(stored[2][stored[0] > 0] == 0)
+
+
 def test_full_turn_of_phi_d(tmp_path):
     """With 360 bins phi_d and phi_d + pi may differ; both signs of delta phi are averaged."""
     values = np.empty((90, 90, 360, 3))
