@@ -11,8 +11,8 @@ the machine tells them apart. The RGL file is what `gonio convert` writes of the
 Where the environment's GONIO_TEST_DATA names a folder of measured BRDFs, every isotropic one in it is written by the
 method that packs it smallest. What a file takes besides (axes, albedos, where it is from: the column `frame`), of
 which HDF5's own 511 bytes, does not shrink with the table: at 1 % tables of 65 000 numbers on 1-degree cells came to
-107:1 and 124:1, of 17 000 to 140 000 numbers on coarser or interpolated cells to 27:1 to 84:1, of 2 300 and 4 700
-numbers to 6:1, which is 1.5 and 2.9 kB.
+108:1 and 123:1, of 17 000 to 140 000 numbers on coarser or interpolated cells to 28:1 to 88:1, of 2 300 and 4 700
+numbers to 6:1 and 7:1, which is 1.5 and 2.8 kB.
 """
 
 from __future__ import annotations
